@@ -54,7 +54,8 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
 @contextmanager
 def begun(text: str) -> Iterator[Callable[[str], None]]:
-    """Say at once what begins, then the jobs of what is in here; gives what tells what is done."""
+    """Report the first piece of work, then its jobs; yields a function that reports the next
+    piece."""
     from modetune.flows.jobs.progress import JobProgress
     from modetune.flows.report.terminal import terminal
 
@@ -67,7 +68,7 @@ def begun(text: str) -> Iterator[Callable[[str], None]]:
 def stoppable(
     said: str = "stopped; finished jobs are in the store, the same command goes on from there",
 ) -> Iterator[None]:
-    """Turn Ctrl-C into the error that says how to go on."""
+    """Turn Ctrl-C into an error that explains how to continue."""
     try:
         yield
     except KeyboardInterrupt:

@@ -21,7 +21,7 @@ from modetune.flows.studies.study import CampaignPath, Settings
 if TYPE_CHECKING:
     from modetune.flows.campaign.mapping import Mapping, SensorRow
 
-#: Sensors in the table: nobody reads more, and a terminal takes minutes to lay them out.
+#: Sensors in the table: a terminal takes minutes to lay out more, and users do not read them.
 SHOWN = 500
 
 

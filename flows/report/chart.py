@@ -31,7 +31,7 @@ class Curve:
     """Points (n,) joined by a line, or marked, or both; NaN is a gap.
 
     line: -, --, : or nothing; mark: o, ring, x, +, v, s, or nothing.
-    told: what each point says under the mouse; written: what stands beside it.
+    told: the text of each point under the mouse; written: the text next to it.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Bars:
-    """A bar (n,) for each name of the category axis; several of a panel stand side by side.
+    """A bar (n,) for each name of the category axis; a panel may have several, side by side.
 
     colours: of all, or of each; errors: half widths of intervals, (n,).
     """
@@ -64,7 +64,7 @@ class Bars:
 class HeatMap:
     """Values (n_rows, n_columns) as colours, written in while there is room.
 
-    told: what a cell says under the mouse, with {row}, {column} and {value}; unit: of the scale,
+    told: the text of a cell under the mouse, with {row}, {column} and {value}; unit: of the scale,
     which goes from low to high in the colours viridis, RdBu (against and with) or Blues.
     """
 
@@ -102,7 +102,7 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What stands along an axis.
+    """The names, numbers and title along an axis.
 
     names: of categories, at 0, 1, 2 ...; slant: degrees by which they are turned; step: of its
     ticks; span: its ends; turned: whether it begins at the far end.
@@ -159,7 +159,7 @@ class Chart:
         return -(-len(self.panels) // self.across)
 
     def alone(self, place: int) -> Chart:
-        """One of its panels as a chart of its own."""
+        """Return one of its panels as a separate chart."""
         return replace(self, panels=(replace(self.panels[place], title=""),), across=1)
 
 
@@ -187,7 +187,7 @@ def names_of(numbers: Sequence[object]) -> tuple[str, ...]:
 
 
 def positions(names: Sequence[object]) -> Floats:
-    """Where categories stand on their axis, (n,)."""
+    """Return the positions of categories on their axis, (n,)."""
     return np.arange(len(names), dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""What a report tells of a campaign, worked out of its record: before beside after."""
+"""The comparison of a campaign's model before and after updating, from its record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.report.mode_tables import mode_rows
 from modetune.flows.report.parameter_tables import parameter_rows
 
-#: Correlation of two estimated parameters from which the test can hardly tell them apart.
+#: Correlation of two estimated parameters from which the test can hardly distinguish them.
 ENTANGLED = 0.95
 #: A MAC that needs a look, and a share of the value that a standard error should stay below.
 DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
@@ -56,7 +56,7 @@ class SensorAgreement:
 def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
     """MAC (n_computed, n_measured) up to the last computed mode that is paired in the campaign.
 
-    Zero where a shape rests at all sensors. Empty without measured shapes.
+    Zero where a shape is zero at all sensors. Empty without measured shapes.
     """
     rows_c, rows_m = common_dofs(item.computed, record.test.modes)
     if rows_c.size == 0:

@@ -1,4 +1,4 @@
-"""How a campaign ended, in a paragraph that a person understands, and the figures beside it."""
+"""How a campaign ended, in a paragraph for people, with the main figures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SAME_MAC = 5e-4
 
 #: How each verdict on the parameters looks.
 MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
-#: From the best to the worst; what is said of a model as a whole looks like its worst part.
+#: From the best to the worst; a model as a whole has the mood of its worst part.
 MOODS = ("good", "fair", "outside")
 #: Parameters that are shown at the top, those that changed the most.
 SHOWN_PARAMETERS = 6
@@ -82,7 +82,7 @@ class Headline:
 
 
 def headline(record: CampaignRecord) -> Headline:
-    """What stands at the top of a report; a model with a doubt is never good."""
+    """The top of a report; a model with a doubt is never good."""
     rows, trust = mode_rows(record), _trust(record)
     ending, mood = _ending(record, rows)
     if unmatched_modes(record):

@@ -88,7 +88,7 @@ def run_table(record: CampaignRecord) -> Table:
 
 
 def key_table(record: CampaignRecord) -> Table:
-    """Keys of all solver jobs, as they stand in the store."""
+    """Return the keys of all solver jobs in the store."""
     columns = (Column("iteration"), Column("job", words=True), Column("key", words=True))
     rows = [
         (item.number, job, key)

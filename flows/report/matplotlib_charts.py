@@ -22,7 +22,7 @@ from modetune.core.storage.files import writing
 from modetune.flows.report.chart import ZERO, Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, Towers
 
 DPI = 150
-#: Side of a tower, of the unit square it stands on.
+#: Side of a tower, of its unit square.
 TOWER = 0.66
 #: Names of an axis that have room; of more, every second or third is written.
 MOST_NAMES = 60
@@ -81,7 +81,7 @@ def plain(text: str) -> str:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of so many inches."""
+    """Return an empty figure of this size in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -133,7 +133,7 @@ def _draw_curve(axes: Axes, item: Curve, span: tuple[float, float] | None) -> No
         markeredgewidth=2.0 if item.mark in ("x", "ring") else None,
         label=plain(item.name) or None,
     )
-    # Names stand below their points, and above where those are at the foot of the panel.
+    # Names are below their points, and above points at the foot of the panel.
     foot = -np.inf if span is None else 0.9 * span[0] + 0.1 * span[1]
     up = np.where(np.asarray(item.y) > foot, -12.0, 10.0)
     _write(axes, item.written, (item.x, item.y), up, "center")

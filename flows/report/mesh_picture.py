@@ -48,7 +48,7 @@ def mesh_picture(path: Path, mesh: Mesh) -> Iterator[Any]:
     Raises CampaignError, StorageUnavailable.
     """
     check_picture(path, mesh)
-    # VTK tells on standard error that there is no display, before it draws without one.
+    # VTK warns on standard error that there is no display before it draws without one.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     plotter: Any = pv.Plotter(off_screen=True, window_size=list(PIXELS))
     try:
@@ -96,7 +96,7 @@ def _draw_model(plotter: Any, mesh: Mesh) -> None:
 COLOURS: dict[Verdict, str] = {"good": "#0072B2", "doubtful": "#E69F00", "left out": "#D55E00"}
 #: Length of an arrow, of the model's box diagonal.
 ARROW = 0.05
-#: Test points whose numbers are written beside them; more would hide the model.
+#: Test points with their numbers; more numbers would hide the model.
 LABELS = 150
 
 

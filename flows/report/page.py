@@ -50,9 +50,9 @@ HERE = Path(__file__).resolve().parent
 MOST_NUMBERS = 40
 
 
-#: A hyphen that stands before a number.
+#: A hyphen before a number.
 MINUS = re.compile(r"(?<=[\s(])-(?=\d)")
-#: The page's scripts, in the order in which they run; the first four stand on their own.
+#: The page's scripts, in the order in which they run; the first four need no others.
 SCRIPTS = ("space.js", "charts.js", "gif.js", "shapes.js", "page.js")
 
 
@@ -72,7 +72,7 @@ def write_chart(path: Path, chart: Chart) -> Path:
 def written_page(
     path: Path, template: str, title: str, charts: Mapping[str, Chart], **shown: Any
 ) -> Path:
-    """Write a page of charts and what its template shows beside. Raises StorageUnavailable."""
+    """Write a page of charts and the other values of its template. Raises StorageUnavailable."""
     scripts = tuple(_asset(name) for name in ("space.js", "charts.js", "page.js"))
     data = {"charts": {name: chart_json(chart) for name, chart in charts.items()}}
     made = _templates().get_template(template)
@@ -130,7 +130,7 @@ def page(record: CampaignRecord) -> str:
             **_frame(f"{record.name} - modetune report", scripts),
         )
     )
-    return text.lstrip()  # nothing may stand before the document's type
+    return text.lstrip()  # the document's type must come first
 
 
 @cache
@@ -150,7 +150,7 @@ def _templates() -> Environment:
 def prose(text: str) -> Markup:
     """A sentence as prose: a capital first (but of e1, e2 and files), a stop last, a real minus.
 
-    A percent sign stays on the line of its number; what stands between backticks is code.
+    A percent sign stays on the line of its number; text between backticks is code.
     """
     if not text[1:2].isdigit() and "." not in text.partition(" ")[0].rstrip(".,:"):
         text = text[:1].upper() + text[1:]
@@ -219,7 +219,7 @@ def _trust(record: CampaignRecord) -> dict[str, Any] | None:
 
 
 def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
-    """What is needed to get the same numbers again, beside the campaign."""
+    """Return what reproduces the numbers in addition to the campaign."""
     spread = None if record.trust is None else record.trust.spread
     drawn = (
         "none are used: the same inputs give the same steps"

@@ -142,7 +142,7 @@ def parameter_table(record: CampaignRecord, only: str = "") -> Table:
 
 
 def trust_table(trust: Trust) -> Table:
-    """What is to be said of each parameter; a share of the test in doubt is outside."""
+    """Return how far each parameter can be trusted; a doubtful share of the test is outside."""
     outside = [
         (place, "test_share") for place, item in enumerate(trust.parameters) if item.doubtful
     ]
@@ -182,7 +182,7 @@ def start_table(record: CampaignRecord) -> Table:
 def unit_of(units: str, quantity: str) -> str:
     """The unit of a parameter's quantity; empty where it has none, or the units are not known.
 
-    A dimension of a section is a length; a spring may turn, so that its unit is not told.
+    A dimension of a section is a length; a spring may rotate, so its unit is unknown.
     """
     if units not in SYSTEMS:
         return ""

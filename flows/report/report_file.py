@@ -1,4 +1,4 @@
-"""The report at the end of a campaign, which may fail without the campaign failing."""
+"""The report file of a run folder; a failure to draw it does not fail the campaign."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 
 #: The page in a run folder.
 PAGE = "report.html"
-#: Whatever may go wrong while something is drawn; the campaign's result stands without it.
+#: Failures of drawing, which do not affect the campaign's result.
 FAILURES = (
     ModetuneError,
     OSError,

@@ -1,4 +1,4 @@
-"""Measured response functions beside those of the model.
+"""Measured response functions compared with the model's.
 
 Where a campaign compares response functions, the model's are those that it compared, at the
 frequencies that it chose. Else they are superposed from the model's elastic modes: that needs modes
@@ -26,7 +26,7 @@ from modetune.core.updating.responses.response import block_parts
 from modetune.flows.campaign.units import KILOGRAMS, METRES
 from modetune.flows.responses.frf import curve_name, receptance
 
-#: So many functions are shown, driving points first.
+#: Number of functions that are shown, driving points first.
 SHOWN = 6
 UNITS = {"receptance": "m/N", "mobility": "(m/s)/N", "accelerance": "(m/s²)/N"}
 
@@ -62,7 +62,7 @@ class ResponsePair:
 
 
 def response_pairs(record: CampaignRecord) -> tuple[ResponsePair, ...]:
-    """The functions that both sides have; none where the test has none or nothing tells damping."""
+    """Return the functions of both sides; none where the test has none or damping is unknown."""
     frfs, ratios = record.frfs, record.test.modes.damping_ratios
     factors = {str(units): kilograms for units, kilograms in KILOGRAMS.items()}
     if frfs is None or record.units not in factors:
@@ -128,7 +128,7 @@ def _compared(record: CampaignRecord, frfs: MeasuredFrfs) -> Iterator[ResponsePa
 
 
 def _order(frfs: MeasuredFrfs) -> list[int]:
-    """Driving points first, then the others as they stand."""
+    """Return driving points first, then the others in their order."""
     driving = (frfs.nodes == frfs.reference_nodes) & (frfs.components == frfs.reference_components)
     order: list[int] = np.argsort(~driving, kind="stable").tolist()
     return order

@@ -1,4 +1,4 @@
-"""The table of what was compared beside frequencies and shapes, before and after."""
+"""The table of responses other than frequencies and shapes, before and after."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from modetune.flows.responses.response import ResponseSection
 
 @dataclass(frozen=True, slots=True)
 class ResponseRow:
-    """A measured value beside the model's, in its own unit; NaN where it is a limit alone."""
+    """A measured value and the model's, in its own unit; NaN where it is a limit alone."""
 
     kind: str
     item: Annotated[str, Column("response")]

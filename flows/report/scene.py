@@ -27,7 +27,7 @@ SHAPE_BYTES = 1_300_000
 NODE_BYTES, MOTION_BYTES = 4 / 3 * (12 + 24 + 12), 4 / 3 * 6
 #: Nodes of a surface that a browser without a graphics card still moves smoothly.
 AT_MOST = 12_000
-#: Motions are whole numbers of this many steps, which no eye tells from more.
+#: Motions are whole numbers of this many steps; more would look the same.
 STEPS = 32767
 
 
@@ -197,7 +197,7 @@ def _tests(record: CampaignRecord, sensors: _Sensors | None) -> tuple[ShownMode,
 def _state(
     record: CampaignRecord, item: IterationRecord, surface: Surface | None, sensors: _Sensors | None
 ) -> ShownState:
-    """The computed modes of an iteration, as many as stand in the table of MAC."""
+    """The computed modes of an iteration, as many as the table of MAC has."""
     mac = mac_table(record, item) if record.test.has_shapes else np.zeros((0, 0))
     pairs = np.stack([item.pairing.measured, item.pairing.computed], axis=1)
     count = mac.shape[0] or 1 + int(pairs[:, 1].max())

@@ -37,8 +37,8 @@ class Column:
     """How the values of one column are headed and written.
 
     unit: behind the heading; values in % are kept as shares of one. form: of numbers, as in
-    f-strings; frequencies have five digits without one. unknown: stands for NaN. words: whether
-    it holds texts, which stand to the left. name: of the field.
+    f-strings; frequencies have five digits without one. unknown: the text of NaN. words: whether
+    it has texts, which are aligned to the left. name: of the field.
     """
 
     heading: str
@@ -78,7 +78,7 @@ class Table:
     """A table for people: columns, rows of values, and rows below that sum them up.
 
     outside: place of a row and name of a column where a value is outside of what was asked for; a
-    row whose place stands with the name "" is so as a whole.
+    the name "" marks the whole row.
     """
 
     title: str

@@ -15,7 +15,7 @@ from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
 from modetune.core.near_names import listed
 from modetune.flows.studies.check.findings import TEST, Finding
 
-#: Off the diagonal of the auto-MAC: above it the sensors hardly tell two modes apart.
+#: Off the diagonal of the auto-MAC: above it the sensors hardly distinguish two modes.
 ALIKE = 0.8
 #: Numbers this near to each other (relative) were copied: no two measurements agree so well.
 COPIED = 1e-6
@@ -25,7 +25,7 @@ COPIED_MAC = 1e-8
 STILL = 1e-6
 #: A sensor this many times above all others in a mode dominates it.
 DOMINATES = 10.0
-#: Fewer sensors than this cannot tell an outlier.
+#: Fewer sensors than this cannot identify an outlier.
 FEW_SENSORS = 6
 #: Fraction of critical; more is not light damping, and most likely percent.
 HIGHEST_DAMPING = 0.2

@@ -44,13 +44,13 @@ NEAR_ZERO = 1e-3
 MASS_TOLERANCE = 1e-3
 
 
-#: What tells a model's mass; empty where nothing does.
+#: The source of a model's mass; empty where there is none.
 MassBy = Literal["solver", "rigid-body modes", "materials", ""]
 
 
 @dataclass(frozen=True, slots=True)
 class ModelFacts:
-    """What the run tells of the model.
+    """Facts about the model from the run.
 
     size_m: diagonal of the box round all nodes, NaN without geometry. mass, mass_kg: by the
     solver, else by the rigid-body modes, else about, by sections and densities without point
@@ -172,7 +172,7 @@ def _body_findings(facts: ModelFacts, units: Units) -> Iterator[Finding]:
         unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
         yield MODEL.good(unknown)
         return
-    # Zero but for rounding, as along the normal of a plane of symmetry, is shown as zero.
+    # Values below rounding error, as along the normal of a plane of symmetry, are shown as zero.
     shown = np.where(np.abs(body.centre) < 1e-6 * np.abs(body.centre).max(), 0.0, body.centre)
     centre = ", ".join(f"{value:.5g}" for value in shown)
     moments = ", ".join(f"{value:.5g}" for value in body.inertia.diagonal())
@@ -285,7 +285,7 @@ def in_global_axes(modes: ModeSet, campaign: Campaign) -> tuple[ModeSet, Floats]
     """
     mesh = _mesh(campaign)
     rows = np.isin(modes.nodes, mesh.nodes)
-    if mesh.frames:  # a few nodes in axes of their own: the others tell enough
+    if mesh.frames:  # leave out a few nodes with local axes: the others suffice
         rows &= ~np.isin(modes.nodes, np.array(sorted(mesh.frames), dtype=np.int64))
     if not rows.any():
         return None
@@ -296,7 +296,7 @@ def in_global_axes(modes: ModeSet, campaign: Campaign) -> tuple[ModeSet, Floats]
 def _mesh(campaign: Campaign) -> Mesh:
     try:
         return campaign.case.solver.deck.mesh()
-    except ModelError:  # told where the mesh itself is wanted; here it is one fact less
+    except ModelError:  # code that requires the mesh reports it; here one fact is missing
         return Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), ())
 
 

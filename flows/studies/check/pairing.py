@@ -1,4 +1,4 @@
-"""Test beside model before updating: which mode answers which, how well, and with what margin.
+"""The pairing of test and model before updating: pairs, their quality and their margin.
 
 Modes that the test finds close together turn within their common space, and so does the model: a
 measured shape is judged in the space of the computed modes that answer it and its neighbours, and
@@ -35,7 +35,7 @@ from modetune.flows.report.tables import Column
 from modetune.flows.studies.check.findings import MODES, PAIRING, Finding
 from modetune.flows.studies.check.measured_modes import ALIKE
 
-#: Below it a pair is believed with doubt.
+#: Below it a pair is doubtful.
 WEAK_MAC = 0.6
 #: A second mode whose MAC comes this near makes a pair ambiguous.
 AMBIGUOUS = 0.2
@@ -45,7 +45,7 @@ LARGE_ERROR = 0.4
 MARGIN = 0.1
 #: Frequencies that are all off by one factor, within this share, are off by a unit.
 COMMON_FACTOR = 0.1
-#: A computed shape this short beside the paired ones, at the sensors, is hardly seen by them.
+#: The sensors hardly see a computed shape that is this short compared with the paired ones.
 HARDLY_SEEN = 0.1
 #: Measured over computed frequency, by the mistake behind it.
 FACTORS = {
@@ -121,7 +121,7 @@ def uncertain_findings(
 
 
 def mac_table(measured: ModeSet, computed: ModeSet) -> Floats:
-    """MAC at common degrees of freedom, (n_measured, n_computed); 0 where a shape rests there."""
+    """MAC at common degrees of freedom, (n_measured, n_computed); 0 where a shape is zero there."""
     rows_m, rows_c = common_dofs(measured, computed)
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")

@@ -134,7 +134,7 @@ def loose_findings(
 
 
 def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare, ...]:
-    """Shares of all parameters whose energies the run tells, in these elastic modes."""
+    """Return the energy shares of parameters in these elastic modes, where the run has them."""
     total = result.total_strain_energy[result.n_rigid :][computed]
     if not (np.isfinite(total).all() and (total > 0.0).all()):
         return ()

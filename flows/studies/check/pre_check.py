@@ -1,4 +1,4 @@
-"""The pre-check of a campaign: what can be told of a campaign at the cost of one modal run.
+"""The pre-check of a campaign: all that one modal run shows of a campaign.
 
 `load_campaign` has refused what cannot work at all. Here test, sensors, model and parameters are
 judged, first without a solver, then by the modes that updating begins with, by whoever finds them
@@ -94,7 +94,7 @@ class PreCheckReport:
 def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     """Judge a campaign that was read; run: with the modes at its start, from the store if there.
 
-    Where parameters start from nothing a second set tells whether they leave parts loose so.
+    Where parameters start from zero, a second point shows whether they leave parts loose.
     A solver that fails is a finding. Raises StoreError.
     """
     if not run:

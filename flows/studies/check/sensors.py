@@ -86,7 +86,8 @@ def _alike(campaign: Campaign) -> Iterator[Finding]:
     seen = campaign.case.sensors
     order = np.lexsort((seen.turns, seen.model_nodes))
     pairs_found: list[Integers] = []
-    # Of one node come next to each other; with six ways to look, those behind repeat what is told.
+    # Of one node come next to each other; with six ways to look, the later ones repeat the
+    # findings.
     for behind in range(1, min(6, order.size)):
         one, other = order[:-behind], order[behind:]
         cosines = np.abs(np.sum(seen.directions[one] * seen.directions[other], axis=1))
@@ -107,14 +108,14 @@ def _alike(campaign: Campaign) -> Iterator[Finding]:
     )
 
 
-#: A pair of a lower MAC may be no pair, and tells nothing of sensors.
+#: A pair of a lower MAC may be wrong and is no evidence about sensors.
 BELIEVED_MAC = 0.2
 
 
 def suspected_sensors(
     test: MeasuredModes, sensors: SensorMap, computed: ModeSet, modes: tuple[ModePreview, ...]
 ) -> list[Finding]:
-    """A finding for each sensor, or two, that stands out of the others, or one for all axes.
+    """A finding for each outlying sensor, or two, or one for all axes.
 
     computed: elastic modes at the model's nodes; modes: as paired.
     """

@@ -186,7 +186,7 @@ def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
         if not console.is_terminal:  # there a finding stays one line
             show([level + said], console)
             continue
-        row = Table.grid(padding=0)  # a long sentence goes on under its own beginning
+        row = Table.grid(padding=0)  # a long sentence continues below its own start
         row.add_column(width=len(level), no_wrap=True)
         row.add_column(overflow="fold")
         row.add_row(level, said)

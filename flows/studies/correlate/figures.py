@@ -54,7 +54,8 @@ def heat_chart(title: str, table: Floats, rows: Side, columns: Side) -> Chart:
 
 
 def pair_chart(title: str, found: Correlation) -> Chart:
-    """Frequencies of pairs, second over first, with the 45-degree line and 10 % beside it."""
+    """Frequencies of pairs, second over first, with the 45-degree line and lines of 10 %
+    difference."""
     x = found.first.modes.frequencies_hz[[pair.first for pair in found.pairs]]
     y = found.second.modes.frequencies_hz[[pair.second for pair in found.pairs]]
     largest = 1.06 * float(max(x.max(), y.max()))
@@ -102,7 +103,8 @@ def comac_chart(title: str, found: Correlation) -> Chart:
 
 
 def _numbered(found: Correlation, points: Floats, reach: float) -> tuple[str, ...]:
-    """Numbers of the first side's modes beside their points, (n_pairs, 2); close ones together."""
+    """Return the numbers of the first side's modes next to their points, (n_pairs, 2); close ones
+    together."""
     said, left = [""] * points.shape[0], list(range(points.shape[0]))
     while left:
         near = [place for place in left if np.abs(points[place] - points[left[0]]).max() < reach]

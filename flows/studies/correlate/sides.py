@@ -150,7 +150,7 @@ def correlate_sources(
 def _alone(
     item: ComparedSource, state: State, settings: Sequence[str]
 ) -> tuple[Side, Side, Model | None]:
-    """A campaign's or record's model beside its own test."""
+    """Compare a campaign's or record's model with its own test."""
     if item.kind == "test":
         raise CampaignError(
             f"{item.path} is a test; name what it is to be compared with: a campaign file, a "

@@ -2,7 +2,7 @@
 
 Direct methods reproduce the test at once, and know nothing of springs and plates. What a user has
 to know before a corrected matrix is used: where it couples unknowns that no element joins, how much
-of it is at unknowns that nobody measured, whether it is still a stiffness and a mass (no negative
+of it is at unknowns that were not measured, whether it is still a stiffness and a mass (no negative
 eigenvalue), whether rigid motion costs energy now, and which modes that were not measured moved.
 
 The corrected matrices are full, so that their model has to be small: a large one is reduced to its

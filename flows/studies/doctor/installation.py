@@ -58,7 +58,7 @@ class DoctorLine:
         return f"{self.state:<13} {self.topic}: {self.item}: {self.said}{more}"
 
 
-#: Is told each line as it comes.
+#: Receives each line as soon as it is known.
 Tell = Callable[[DoctorLine], None]
 
 
@@ -80,7 +80,7 @@ HERE = "machine"
 EXTRAS = ("calculix", "pictures", "studies", "cluster")
 #: Free disk below which a campaign of a middling model may not end, bytes.
 LEAST_DISK = 5e9
-#: What tells licence managers' servers to solvers; values are not told.
+#: Variables with the addresses of licence servers; values are not reported.
 LICENCE_VARIABLES = ("MSC_LICENSE_FILE", "LM_LICENSE_FILE", "SPLM_LICENSE_SERVER",
                      "SALT_LICENSE_SERVER", "UGS_LICENSE_SERVER")  # fmt: skip
 
@@ -88,7 +88,7 @@ Found = tuple[State, str, str]
 
 
 def look_around(tell: Tell, working: Callable[[str], None]) -> None:
-    """Tell what is installed, and what the site offers."""
+    """Report what is installed, and what the site offers."""
     looks: list[tuple[str, Callable[[], Found]]] = [
         ("Python", _python),
         ("packages", lambda: _packages("")),
@@ -171,7 +171,7 @@ def _disk() -> Found:
 
 
 def _site() -> Found:
-    run = RunSection().on_site()  # told where it cannot be read
+    run = RunSection().on_site()  # reported where it cannot be read
     if not site_path().is_file():
         return "not available", "there is none; campaigns run on this machine", ""
     return "passed", f"{site_path()}: jobs run by {run.engine}", ""

@@ -129,7 +129,7 @@ REPORT = "please report it with the file of this test"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How one thing stands, before it is a line."""
+    """The outcome of one test, before it is a line."""
 
     state: State
     said: str
@@ -152,7 +152,7 @@ class SolverTests:
         return self.campaign.cases[0].solver.program
 
     def run(self) -> None:
-        """Try everything and tell a line each."""
+        """Run all tests and report a line each."""
         if self._line("program", self._version) != "passed":
             return
         self._line("modes", self._modes)
@@ -364,7 +364,7 @@ def _without_modes() -> Verdict:
 
 
 def _apart(modal: ModalResult) -> Integers:
-    """Positions of elastic modes that a step does not bring beside another."""
+    """Return the positions of elastic modes that a step does not bring close to another."""
     values = modal.eigenvalues
     gaps = np.diff(values) / np.maximum(np.abs(values[1:]), 1e-300)
     beside = np.minimum(np.append(np.inf, gaps), np.append(gaps, np.inf))
@@ -377,7 +377,7 @@ def _off(found: Floats, right: Floats) -> float:
 
 
 def _first_line(error: Exception) -> str:
-    """What the program said, as short as it goes."""
+    """Return the program's message, shortened."""
     lines = str(error).splitlines()
     said = [line.strip(" |*") for line in lines if line.startswith("  |")]
     told = [line for line in said if "ERROR" in line.upper() or "FATAL" in line]

@@ -1,6 +1,6 @@
 """Measured shapes on the whole mesh, by several methods side by side: `modetune expand`.
 
-Which method to believe the test itself tells: each sensor is held out once, a tenth of the test
+The test itself selects the method: each sensor is held out once, a tenth of the test
 points at a time, and filled from the others as unmeasured freedoms are. The error there is that of
 the whole expansion as far as a test can know it; zero motion would have 100 %.
 
@@ -63,7 +63,7 @@ from modetune.flows.studies.full_model import (
 PARTS = 10
 #: A direction is along an axis where its cosine is one to this.
 ALONG = 1e-6
-#: What is said where more than half of the motion at held-out sensors is wrong.
+#: The warning where more than half of the motion at held-out sensors is wrong.
 POOR = "; no motion at all would have 100 %: do not believe it between the sensors"
 METHODS = get_args(ExpansionMethod)
 
@@ -237,12 +237,12 @@ def _serep(test: _Test) -> ExpandedShapes:
         )
     tried: dict[int, Floats] = {}
     for count in range(1, most + 1) if test.n_modes is None else (test.n_modes,):
-        with suppress(ModesError):  # modes that some of the sensors cannot tell from each other
+        with suppress(ModesError):  # modes that some of the sensors cannot distinguish
             tried[count] = test.held_out(partial(_combined, test, seen[:, :count]))
     if not tried:
         raise ModesError("the modes of the model cannot be told apart by the sensors")
     count = min(tried, key=lambda number: float(np.nan_to_num(np.linalg.norm(tried[number]))))
-    # What the sensors see of the basis stands above the shapes themselves.
+    # The basis at the sensors is above the shapes themselves.
     whole, n_seen = np.vstack([seen, elastic.mode_shapes.real])[:, :count], seen.shape[0]
     found = serep_expansion(whole, test.shapes, np.arange(n_seen, dtype=np.int64))
     modes = test.modes(found.mode_shapes[n_seen:], elastic.nodes, elastic.components)
@@ -262,7 +262,7 @@ def _combined(test: _Test, basis: Floats, kept: Integers) -> Shapes:
 
 
 def _by_balance(test: _Test, frequencies_hz: Floats, method: str) -> ExpandedShapes:
-    """Dynamic balance at a frequency a mode; all at rest is the static expansion."""
+    """Dynamic balance at a frequency a mode; with zero frequencies the static expansion."""
     seen, moving = test.seen
     shapes = test.shapes[moving]
     whole = np.zeros((seen.stiffness.shape[0], shapes.shape[1]), dtype=shapes.dtype)

@@ -42,9 +42,9 @@ from modetune.core.measurement.stabilisation import (
 from modetune.core.modes import Floats, Integers, MeasuredModes, dof_name, mode_set
 from modetune.flows.studies.identify.measured_functions import functions_in_band
 
-#: Share of a mode's residues outside one shape from which it is told. References that are driven
-#: and measured with care leave some per cent; two modes of one frequency leave 30 to 100 %, unless
-#: the references see them nearly alike.
+#: Share of a mode's residues outside one shape from which it is reported. References that are
+#: driven and measured with care leave some per cent; two modes of one frequency leave 30 to 100 %,
+#: unless the references see them nearly alike.
 ANOTHER_SHAPE = 0.2
 
 

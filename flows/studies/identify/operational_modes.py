@@ -1,4 +1,4 @@
-"""Modes from responses alone, where nobody knows the forces: subspace identification by pyOMA2.
+"""Modes from responses to unknown forces: subspace identification by pyOMA2.
 
 Poles of all orders (`pole_estimators.py`) are judged and followed as those of response functions:
 of each track the stable pole of middle frequency and its shape are the mode, since single orders
@@ -40,13 +40,13 @@ from modetune.flows.studies.identify.identification import (
     write_modes,
 )
 
-#: Samples in a period of the highest frequency that is looked at.
+#: Samples in a period of the highest frequency of interest.
 SAMPLES = 2.5
 #: Block rows that are used at least; more where the channels are few for the order.
 BLOCK_ROWS = 30
-#: Pairs of poles that tell a structure from noise: more split the poles of modes.
+#: Pairs of poles that distinguish a structure from noise; more split the poles of modes.
 MOST_ORDER = 30
-#: A mode is stable at one of so many orders: a quarter, where noise reached a fifth.
+#: A mode is stable at one in four orders at least; noise reached one in five.
 LASTING = 4
 
 
@@ -139,7 +139,7 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         orders.append(OrderPoles(number, kept, shapes[:, columns], none))
     judged = judge_orders(orders, criteria)
     tracks = follow_poles(judged, criteria)
-    # No response tells here how much of it a pole makes up, so poles have to last longer.
+    # The share of a pole in the responses is unknown here, so poles must be stable at more orders.
     enough = criteria.least_stable or max(criteria.least_picked, order // LASTING)
     chosen = [k for k, track in enumerate(tracks) if track.n_stable >= enough]
     if settings.pick:

@@ -15,7 +15,7 @@ from modetune.adapters.solver import Solver, Target
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity, TargetKind
 
-#: Materials that are free at most; the others, which weigh less, stand behind a `#`.
+#: Materials that are free at most; the others, which weigh less, are comments.
 FREE = 20
 #: Dimensions of a cross-section that are looked for.
 DIMENSIONS = 12
@@ -171,7 +171,7 @@ def _of_target(
 
 
 def _name(expected: Expected, target: Target, item: int, taken: set[str]) -> str:
-    """A name that tells quantity and target, and that no other has."""
+    """Return a unique name from quantity and target."""
     several = f"{target.kind}s" if len(target.names) > 1 else target.names[0]
     text = f"{expected.letter}{item or ''}_{several}"
     plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", text)[:56].rstrip("_.-")

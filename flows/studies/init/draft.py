@@ -81,7 +81,7 @@ class Draft:
 
     @property
     def next(self) -> tuple[str, ...]:
-        """The commands to go on with, each with what it is for."""
+        """The next commands, each with its purpose."""
         name = os.path.relpath(self.path)
         check = (f"modetune check {name}", "judges model, test and sensors before anything is run")
         if self.test is None:
@@ -338,7 +338,7 @@ def init_campaign(
     out: Path | None = None,
     force: bool = False,
 ) -> Draft:
-    """Write a campaign for a deck, beside it unless named, and read it as `check` will.
+    """Write a campaign for a deck, next to it unless named, and read it as `check` will.
 
     settings: `model.solver=NAME`, `model.units=NAME`. Files that are there stay unless force.
     Raises CampaignError, ModelError for why there can be none.

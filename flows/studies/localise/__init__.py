@@ -1,1 +1,1 @@
-"""Where the model is wrong, and whether its parameters can mend it."""
+"""Where the model is wrong, and whether its parameters can correct it."""

@@ -49,7 +49,7 @@ class ErrorMaps:
 
     groups: names, those of parameters first; errors: of the groups; nodes: residual forces by
     nodes; mesh_nodes: (n_mesh_nodes,), and strains there of the error's field, the largest being 1;
-    misfits: (n_pairs,), relative distance of each test shape from the field that stands for it.
+    misfits: (n_pairs,), relative distance of each test shape from its field.
     """
 
     groups: tuple[str, ...]
@@ -83,7 +83,7 @@ def error_maps(
     works = source.works(theta, columns)
     own = evaluator.carry_out("matrices", works[:1])  # the model's
     size = own[0][0].result(MatrixResult).nodes.size if own else 0
-    if size <= MOST_UNKNOWNS:  # else it is told before the parameters' matrices cost anything
+    if size <= MOST_UNKNOWNS:  # else it is reported before the parameters' matrices cost anything
         evaluator.carry_out("matrices", works[1:])
         model = source.matrices(theta, columns)
         size = model.base.nodes.size
@@ -137,7 +137,8 @@ def _groups(
 
 
 def _weighty(part: sparse.csr_array, whole: sparse.csr_array) -> bool:
-    """Whether anything is left: a soft spring is small beside the model, but not at its ends."""
+    """Whether anything is left: a soft spring is small compared with the model, but not at its
+    ends."""
     return bool((abs(part.diagonal()) > ROUNDING * abs(whole.diagonal())).any())
 
 

@@ -25,7 +25,7 @@ from modetune.flows.report.matplotlib_charts import new_figure, plain
 from modetune.flows.studies.localise.error_maps import ErrorMaps
 from modetune.flows.studies.localise.localisation import Localisation
 
-#: Bars that can be told apart on a page.
+#: Bars that fit on a page.
 BARS = 30
 COLOURS = "YlOrRd"
 

@@ -4,7 +4,8 @@ Three kinds of evidence, each from what the store has first: what single paramet
 remove of the residual (sensitivities), maps of the error on the model (stored matrices at the
 test's modes, see `core/updating/localisation`), and whether any admissible parameter set can remove
 the residual at all (`core/updating/model_form`). Maps need measured shapes, and a solver whose
-matrices have their unknowns at the model's nodes; without them the other two are told, and why.
+matrices have their unknowns at the model's nodes; without them the result has the other two and
+the reason.
 """
 
 from __future__ import annotations

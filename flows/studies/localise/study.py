@@ -1,4 +1,4 @@
-"""`modetune localise`: where a model is wrong, and whether its parameters can mend it."""
+"""`modetune localise`: where a model is wrong, and whether its parameters can correct it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 #: Rows that a terminal shows of each table.
 SHOWN = 12
-#: A best share of the force residual below this tells of no one group.
+#: A best share of the force residual below this identifies no group.
 TELLING = 0.2
-#: Nodes that `--json` tells of each map, the worst.
+#: Nodes of each map in the JSON object, the worst.
 NODES = 200
 
 

@@ -24,7 +24,7 @@ SURFACE_NODES = 4000
 class CandidateSensors:
     """Places and directions at which sensors could be.
 
-    nodes: (n,), a node may stand once a direction; coordinates: (n, 3), the deck's length.
+    nodes: (n,), a node may occur once for each direction; coordinates: (n, 3), the deck's length.
     directions: (n, n_directions, 3), unit vectors in global axes; three where three directions
     count as one sensor. labels: x, y, z, normal or xyz.
     """

@@ -22,7 +22,7 @@ from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 
 #: A mode of which the exciters reach less than this share of its largest motion is hardly driven.
 DRIVEN = 0.1
-#: Suspension points that are told, and how far apart they are, of the model's box diagonal.
+#: Number of suspension points, and their distance in box diagonals of the model.
 POINTS, APART = 4, 0.1
 
 

@@ -15,7 +15,7 @@ from modetune.flows.studies.pretest.plan import Pretest
 
 #: Colours of Okabe and Ito (2008), as in the other figures.
 SENSOR, EXCITER, SUSPENSION = "#0072B2", "#D55E00", "#009E73"
-#: Length of an exciter's arrow beside a sensor's, and size of a suspension point's ball.
+#: Length of an exciter's arrow relative to a sensor's, and size of a suspension point's ball.
 LONGER, BALL = 1.6, 0.25
 
 
@@ -63,7 +63,7 @@ def _arrows(pretest: Pretest) -> tuple[Floats, Floats]:
 
 
 def _label(plotter: Any, pretest: Pretest, length: float) -> None:
-    """The sensors' places in the order of choice, beside the ends of their arrows."""
+    """Label the sensors, in the order of choice, at the ends of their arrows."""
     if len(pretest.sensors) > LABELS:
         return
     ends = [

@@ -1,4 +1,4 @@
-"""What each possible sensor would tell of a campaign's parameters.
+"""The information of each candidate sensor about a campaign's parameters.
 
 Shapes are measured up to a scale, so what counts is how a shape's direction turns with a
 parameter: d phi less its part along phi, in units of the shape's rms over the candidates, divided
@@ -119,7 +119,8 @@ def information_of(
 
 
 def _turning(rows: Floats, change: Floats) -> Floats:
-    """Change of shapes (n, n_directions, n_modes) but for their scale, over their rms."""
+    """Return the change of shapes (n, n_directions, n_modes) without their scale, over their
+    rms."""
     squares = np.sum(rows**2, axis=(0, 1))
     squares = np.where(squares > 0.0, squares, 1.0)
     along = np.sum(rows * change, axis=(0, 1)) / squares

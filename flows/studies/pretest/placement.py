@@ -45,7 +45,7 @@ def check_settings(settings: PretestSettings) -> None:
 
 
 def check_count(sensors: int, n_modes: int, n_directions: int) -> None:
-    """Raise CampaignError where so few sensors cannot tell so many modes apart, wherever."""
+    """Raise CampaignError where there are too few sensors to distinguish the modes."""
     if sensors * n_directions < n_modes:
         raise CampaignError(
             f"--sensors {sensors}: fewer than the {n_modes} modes, which so few cannot tell apart "
@@ -78,8 +78,8 @@ class PlacedSensor:
 class Ground:
     """What is chosen from.
 
-    modes: those that are to be told apart; rows: their shapes (n, n_directions, n_modes) at the
-    candidates; weighted: by the root of the mass, where that is asked for.
+    modes: those that the sensors must distinguish; rows: their shapes (n, n_directions, n_modes)
+    at the candidates; weighted: by the root of the mass, where that is asked for.
     """
 
     modes: ModeSet
@@ -104,7 +104,7 @@ def choose_sensors(
         try:
             chosen = _by_method(model, settings.method, count, spacing)
         except CampaignError:
-            continue  # too few places so far apart; nobody asked for that distance
+            continue  # too few places at the default distance
         said = f"sensors are {spacing.distance:.3g} apart and no more, for want of places"
         return chosen, spacing, [said] if halving else []
     spacing = model.candidates.spacing(0.0)

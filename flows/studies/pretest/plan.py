@@ -60,7 +60,7 @@ from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import campaign_analysis
 
-#: Elastic modes that are looked at where none are named.
+#: Number of elastic modes where none are named.
 FIRST_MODES = 8
 
 
@@ -104,7 +104,7 @@ def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
     SolverError, StoreError.
     """
     check_settings(settings)
-    campaign.solver_version()  # a missing solver is told before anything else starts
+    campaign.solver_version()  # report a missing solver before anything else starts
     mesh = placed_mesh(campaign.case.solver)
     asked = candidates_of(
         campaign.case.solver, settings.candidates, settings.directions, settings.triaxial

@@ -136,7 +136,7 @@ def _tables(found: Pretest) -> list[Table]:
 
 
 def quality_lines(found: Pretest) -> list[str]:
-    """How well the choice tells the modes apart, beside all candidates."""
+    """Return how well the sensors distinguish the modes, compared with all candidates."""
     quality, whole, numbers = found.quality, found.whole, found.mode_numbers
     lines = []
     if len(numbers) > 1:

@@ -36,7 +36,7 @@ from modetune.flows.studies.full_model import (
 )
 from modetune.flows.studies.reduce.request import ReductionMethod, ReductionRequest
 
-#: Modes that are compared, rigid ones counted, where nobody says how many.
+#: Modes that are compared by default, rigid ones included.
 COMPARED = 16
 #: Below this part of the highest eigenvalue that is compared both models count as at rest: a
 #: relative difference of two roundings would say nothing.
@@ -45,7 +45,7 @@ REST = 1e-8
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ModelReduction:
-    """A reduced model beside the full one.
+    """A reduced model compared with the full one.
 
     masters: names of its unknowns. held: names that are fixed and so left out. full_hz, reduced_hz,
     errors: (n_modes,), errors relative, NaN of rigid modes. shared: (n_modes,), the part of each

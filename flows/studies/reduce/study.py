@@ -47,7 +47,7 @@ def reduce(
 
 @dataclass(frozen=True, slots=True)
 class ReducedMode:
-    """A mode of the full model beside the reduced one's; error: relative, NaN of rigid modes."""
+    """A mode of the full model and of the reduced one; error: relative, NaN of rigid modes."""
 
     mode: Annotated[int, Column("mode")]
     full_hz: Annotated[float, Column("full model", "Hz", ".5g")]

@@ -88,7 +88,7 @@ def sample(
 
     longest: how many times the steps asked for are made at most; foreseen: about the same density
     in the same range, at less cost.
-    Raises CampaignError where there are too few walkers for so many parameters.
+    Raises CampaignError where there are too few walkers for the parameters.
     """
     check_walkers(walkers, posterior.lower.size)
     sampler = _sampler(posterior, walkers, rng, foreseen)
@@ -180,7 +180,7 @@ def _start(posterior: Posterior, peaks: Peaks, walkers: int, rng: np.random.Gene
             )
         ]
     )
-    # What fell outside is put back inside at random, so that no two walkers stand on one point.
+    # What fell outside is put back inside at random, so that no two walkers are at one point.
     outside = (drawn <= posterior.lower) | (drawn >= posterior.upper)
     again = posterior.lower + rng.random(drawn.shape) * (posterior.upper - posterior.lower)
     home = np.repeat(peaks.points, counts, axis=0)
@@ -213,7 +213,8 @@ def _judged(sampler: emcee.EnsembleSampler, steps: int) -> Chains:
 
 
 def _autocorrelation_times(chain: Floats) -> Floats:
-    """Of each parameter, (n_parameters,), at least 1; the chain's length where a walker rests."""
+    """Of each parameter, (n_parameters,), at least 1; the chain's length where a walker does not
+    move."""
     if chain.shape[0] < 2:
         return np.full(chain.shape[2], np.inf)
     moving = np.ptp(chain, axis=0).min(axis=0) > 0.0
@@ -227,7 +228,7 @@ def _autocorrelation_times(chain: Floats) -> Floats:
 def split_r_hat(chain: Floats) -> Floats:
     """Split R-hat of each parameter, (n_parameters,). chain: (n_steps, n_walkers, n_parameters).
 
-    Root of the variance over all half chains by that within them: 1 where all tell the same.
+    Root of the variance over all half chains by that within them: 1 where all agree.
     Source: Gelman et al. 2013, 11.4.
     """
     half = chain.shape[0] // 2

@@ -31,7 +31,7 @@ from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.updating.estimation import parameter_covariance
 from modetune.flows.studies.sample.surrogate import ResponseLimits
 
-#: Ends are peaks of their own where the log density sinks by as much between them.
+#: End points are distinct peaks where the log density falls by this much between them.
 SINK = 1.0
 #: A peak with a smaller share of the whole is left out.
 LEAST_SHARE = 1e-3
@@ -73,7 +73,7 @@ class Posterior:
         return np.asarray(found)
 
     def log_density(self, points: Floats) -> Floats:
-        """(n,), but for a constant; minus infinity outside. points: (n, n_parameters)."""
+        """(n,), up to a constant; minus infinity outside. points: (n, n_parameters)."""
         found, inside = np.full(points.shape[0], -np.inf), self.inside(points)
         if inside.any():
             found[inside] = -0.5 * (self._squares(points[inside]) ** 2).sum(axis=1)
@@ -161,7 +161,7 @@ class Peaks:
 def find_peaks(
     posterior: Posterior, rng: np.random.Generator, also: Floats | None = None, drawn: int = DRAWN
 ) -> Peaks:
-    """The peaks of a density. also: (n, n_parameters), starts beside those that are drawn.
+    """The peaks of a density. also: (n, n_parameters), starts in addition to those that are drawn.
 
     Raises CampaignError where limits leave no set of the range.
     """

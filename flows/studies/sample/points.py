@@ -31,7 +31,7 @@ from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
-#: What stands for a residual that cannot be had, in standard deviations of the test: such sets are
+#: The residual of a point without modes, in standard deviations of the test: such sets are
 #: as good as impossible.
 IMPOSSIBLE = 1e3
 #: What a squared misfit may be above the least one of all for modes to be tracked from there.

@@ -33,7 +33,7 @@ POINTS_EACH, LEAST_POINTS, WALKERS_EACH, LEAST_WALKERS = 10, 16, 4, 32
 #: ... times as many sets where a reduced model gives them, and as many runs near the posterior at
 #: most, which end as soon as what they teach is good.
 SETS_EACH, NEAR_EACH = 4, 2
-#: Around the end of an update the range reaches so many standard deviations of the prior.
+#: The range around the end of an update, in standard deviations of the prior.
 RANGE = 3.0
 
 
@@ -160,7 +160,7 @@ def learned_posterior(
     limits = learning_range(campaign, None if earlier is None else centre)
     at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
-    version = campaign.solver_version()  # a missing solver is told before anything else starts
+    version = campaign.solver_version()  # report a missing solver before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
         try:

@@ -12,7 +12,7 @@ its field.
                     prior_mean, prior_deviation, mean, deviation, interval_lower, interval_upper
                     (95 %), most_likely, linear_deviation, autocorrelation_times,
                     effective_sizes, r_hat; correlation (n_par, n_par)
-    samples         (n, n_parameters), thinned; log_densities (n,), but for a constant
+    samples         (n, n_parameters), thinned; log_densities (n,), up to a constant
     peaks           (n_peaks, n_parameters); shares (n_peaks,), by the samples
     training/       points (n_points, n_parameters), values (n_points, n_residuals) in standard
                     deviations of the test, responses (n_residuals,), names

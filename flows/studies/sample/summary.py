@@ -1,4 +1,4 @@
-"""What a sampling tells people and machines: sentences of findings, red ones first, and JSON."""
+"""The table, the findings (red ones first) and the JSON object of a sampling."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.refinement import GOOD, REFUSED
 
 #: Ratio of the sampled to the linear deviation, and distance of the mean from the most likely
-#: value in deviations, from which on the linear picture is said not to hold.
+#: value in deviations, from which on the linear model is reported as invalid.
 UNLIKE, SHIFTED = 1.25, 0.35
-#: A parameter of which the test left more than this share of the prior's width is not told by it.
+#: The test does not determine a parameter that keeps more than this share of the prior's width.
 UNTOLD = 0.9
 #: Share of the samples within a quarter of a deviation of an end, from which on the end cuts: a
 #: normal distribution that is cut at 1.2 deviations has it.
 CUT = 0.05
-#: A second peak with a smaller share of the samples is not told.
+#: A second peak with a smaller share of the samples is not reported.
 SECOND = 0.01
-#: Two parameters with a larger correlation are told together only.
+#: The test determines only a combination of two parameters with a larger correlation.
 TIED = 0.95
-#: What is told where no surrogate of the reduced model was good enough.
+#: The sentence where no surrogate of the reduced model was good enough.
 ITSELF = (
     "no surrogate foresees the reduced model well enough here, so that each sample was a set of "
     "the reduced model itself, which takes longer"
@@ -47,7 +47,7 @@ class StudyFinding:
 
 
 def findings(record: PosteriorRecord) -> tuple[StudyFinding, ...]:
-    """What is to be said of a posterior, red findings first."""
+    """Return the findings about a posterior, red ones first."""
     told = (_of_checks, _of_chains, _of_peaks, _of_ends, _of_shapes, _of_prior, _of_ties)
     return red_first(said for of in told for said in of(record))
 

@@ -172,7 +172,7 @@ def _fit(inputs: Floats, values: Floats, order: int) -> tuple[Floats, Floats]:
     with suppress(np.linalg.LinAlgError):
         found = np.linalg.solve(whole, np.pad(values, ((0, len(whole) - n_points), (0, 0))))
         own = np.diag(np.linalg.inv(whole))[:n_points, None]
-        # Points that lie close together tell terms of high order apart by their last digits only:
+        # Points close together distinguish terms of high order by their last digits only:
         # then the spline does not go through them.
         beside = values - functions @ found
         if np.isfinite(found).all() and own.all():
@@ -181,7 +181,7 @@ def _fit(inputs: Floats, values: Floats, order: int) -> tuple[Floats, Floats]:
 
 
 def density_error(values: Floats, missed: Floats) -> float:
-    """By how much log densities of 95 % of some sets are off beside each other.
+    """Return the error of the differences of log densities, of 95 % of some points.
 
     values, missed: (n, n_residuals), true ones and what is missed of them, true less foreseen.
     """

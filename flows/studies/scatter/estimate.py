@@ -1,4 +1,4 @@
-"""Running a scatter study: the Python API behind `modetune scatter`.
+"""The estimate of the parameters' scatter behind that of repeated tests.
 
 The mean of the tests has a posterior, learned as `modetune sample` learns it. Each of its peaks is
 an answer; around it mean and covariance of the parameters are matched to those of the tests

@@ -2,7 +2,7 @@
 
 The file is the dataclass ScatterRecord below as `core/storage/codec` writes it, behind a seal.
 Values of parameters are relative to the deck's, measured ones to their means; covariances are of
-one test. Several answers that explain the mean of the tests stand side by side.
+one test. There may be several answers that explain the mean of the tests.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a scatter study tells people and machines: tables, sentences, red ones first, and JSON."""
+"""The tables, the findings (red ones first) and the JSON object of a scatter study."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 
 #: A likelihood of the measured scatter below it says that the parameters do not explain it.
 UNLIKELY = 0.01
-#: An answer with a smaller share is not told as a second one.
+#: An answer with a smaller share is not reported as a second one.
 SECOND = 0.01
-#: A share of the covariance that was negative, and an error of what was learned, that are told.
+#: The negative share of the covariance, and the error of the surrogate, that are reported.
 NEGATIVE, ROUGH = 0.05, 0.2
 
 
@@ -97,7 +97,7 @@ def lines(record: ScatterRecord) -> list[str]:
 
 
 def findings(record: ScatterRecord) -> tuple[StudyFinding, ...]:
-    """What is to be said of the answers, red findings first."""
+    """Return the findings about the answers, red ones first."""
     return red_first(_findings(record))
 
 

@@ -1,1 +1,1 @@
-"""Screening: which of many candidate parameters the test can tell, and which to update."""
+"""Screening: which of many candidate parameters the test determines, and which to update."""

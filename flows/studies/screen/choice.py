@@ -94,7 +94,7 @@ class ChosenParameters:
 def choose_parameters(candidates: CandidateParameters, most: int | None = None) -> ChosenParameters:
     """A verdict for every candidate.
 
-    most: how many are chosen at most; so many are, where so many can be told apart.
+    most: how many are chosen at most, and exactly so many where the test distinguishes them.
     """
     reasons: dict[int, str] = {}
     alive = _seen(candidates, reasons)

@@ -1,4 +1,4 @@
-"""Designs: at which parameter values the model is solved, so that effects can be told apart.
+"""Designs: the parameter values at which the model is solved to separate effects.
 
 All values are relative to the deck's, within the parameters' bounds. Points that mean something
 only together share a block: a trajectory of Morris's, the rows that Saltelli's scheme makes of one

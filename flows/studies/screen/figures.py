@@ -190,7 +190,7 @@ def _bars(
 ) -> Chart:
     """Bars of (n_modes, n_parameters), the candidates from top to bottom by importance.
 
-    second: of another measure, beside the first; labels: of both; errors: half widths of both.
+    second: another measure next to the first; labels: of both; errors: half widths of both.
     """
     order = list(screening.choice.ranking)
     verdicts = [screening.choice.verdicts[place].chosen for place in order]
@@ -198,7 +198,7 @@ def _bars(
     first_errors, second_errors = errors or (None, None)
     nothing = np.zeros(0)
     legend = [
-        # A bar's name is one of all its bars; what their colours say stands beside it.
+        # A bar's name is one of all its bars; the legend has the meaning of their colours.
         Curve(f"{word}{f': {labels[0]}' if labels[0] else ''}", nothing, nothing, colour, "", "s")
         for word, colour in (("proposed", CHOSEN), ("left out", OUT))
     ]

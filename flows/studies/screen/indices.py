@@ -35,7 +35,7 @@ from modetune.flows.studies.screen.request import ScreeningMethod
 UNIFORM_RANGE = float(np.sqrt(12.0))
 #: Half width of an interval that holds 95 % of normal values, in standard deviations.
 NORMAL = 1.96
-#: A response that varies less than this, relative to its size, is constant but for rounding.
+#: A response that varies less than this, relative to its size, is constant except for rounding.
 CONSTANT = 1e-12
 #: Measures of each method, in the order of `Indices.values`.
 MEASURES: dict[ScreeningMethod, tuple[str, ...]] = {
@@ -143,7 +143,7 @@ def _sobol(design: Design, responses: Floats, rng: np.random.Generator) -> Indic
         )
         names = ("S1", "S1_conf", "ST", "ST_conf")
         values[:, place] = [np.asarray(found[name], np.float64) for name in names]
-    # The first and last row of each base sample are free of each other: they tell the variance.
+    # The first and last row of each base sample are independent and give the variance.
     each = count + 2
     ends = np.concatenate([responses[::each], responses[each - 1 :: each]])
     spread = np.sqrt(np.maximum(values[2], 0.0) * ends.var(axis=0)[:, None])
@@ -160,7 +160,7 @@ def _hypercube(design: Design, responses: Floats, rng: np.random.Generator) -> I
     left = ((targets - points @ regression) ** 2).mean(axis=0)
     alive = varies(responses)
     values = np.stack([(ranks.T @ told).T / len(points), regression.T]) * alive[None, :, None]
-    # Steps of the hypercube are even, so bounds tell the parameters' own spread.
+    # Steps of the hypercube are even, so bounds give the parameters' own spread.
     slopes = np.abs(values[1]) * responses.std(axis=0)[:, None] / design.points.std(axis=0)
     explained = np.where(alive, 1.0 - left, np.nan)
     return _indices(design, values, slopes * (design.upper - design.lower), explained)

@@ -4,7 +4,7 @@ The user's file stays as it is: candidates that were left out become comments wi
 above them, so that one hash brings a candidate back; only the name gets an ending, so that
 both campaigns keep their own run folders, and paths follow where the file goes elsewhere. What
 was written is read again and must be the same campaign with the chosen parameters; where the text
-does not allow that (a list in one line, anchors), the file is written anew without its comments.
+does not allow that (a list in one line, anchors), the file is written again without its comments.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def write_proposal(campaign_file: Path, screening: Screening, out: Path) -> Path
 
 
 def check_out(campaign_file: Path, out: Path) -> None:
-    """A proposal stands beside the campaign, never in its place. Raises CampaignError."""
+    """A proposal never replaces the campaign. Raises CampaignError."""
     if out.exists() and out.resolve() == campaign_file.resolve():
         raise CampaignError(f"--out {out} is the campaign itself; name another file")
     if out.is_dir():
@@ -54,7 +54,7 @@ def check_out(campaign_file: Path, out: Path) -> None:
 
 
 def proposed_text(source: YamlFile, screening: Screening, out: Path) -> str:
-    """The text of the proposed campaign, as it would stand at `out`."""
+    """Return the text of the proposed campaign for the file `out`."""
     wanted = _wanted(source, screening, out)
     text = _edited(source, screening, wanted)
     try:
@@ -110,7 +110,7 @@ def proposed_name(name: str) -> str:
 
 
 def _paths(source: YamlFile, out: Path) -> dict[Place, str]:
-    """Paths that must be told anew, because the file goes to another folder."""
+    """Return the paths that change because the file goes to another folder."""
     here, there = source.path.resolve().parent, out.resolve().parent
     if here == there:
         return {}

@@ -63,7 +63,7 @@ def screen_campaign(
         request.points,
         request.levels,
     )
-    version = campaign.solver_version()  # a missing solver is told before anything else starts
+    version = campaign.solver_version()  # report a missing solver before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
         working(f"{DECK}, sensitivities")

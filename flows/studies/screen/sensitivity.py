@@ -75,7 +75,7 @@ def local_sensitivity(campaign: Campaign, nominal: Evaluation, matrix: Matrix) -
 
 
 def other_rows(found: Residual) -> Integers:
-    """Rows that are compared beside frequencies and shapes."""
+    """Return the rows other than frequencies and shapes that are compared."""
     beside = np.ones(found.values.size, dtype=bool)
     for kind in ("frequencies", "shapes"):
         beside[found.rows(kind)] = False
@@ -113,7 +113,7 @@ def loudest(
     found: Indices | None,
 ) -> tuple[str, ...]:
     """The response that each parameter moves most, for people; modes: names of the paired ones;
-    others: of what is compared beside frequencies and shapes."""
+    others: of responses other than frequencies and shapes."""
     moves = seen_moves(campaign, design, local, found)
     names = [f"{what} of {name}" for what in ("frequency", "MAC") for name in modes]
     names[len(moves) - len(others) :] = others

@@ -215,7 +215,7 @@ def _other_table(screening: Screening) -> Table:
     )
 
 
-#: The measure that a terminal shows of each method, and what may stand behind it.
+#: The measure that a terminal shows of each method, and the one in parentheses.
 SHOWN_MEASURES = {
     "morris": ("mu_star", "sigma"), "sobol": ("total", "total_confidence"),
     "lhs": ("regression", ""), "factorial": ("main_effect", ""),

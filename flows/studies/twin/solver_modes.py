@@ -2,7 +2,7 @@
 
 The modal analysis of a campaign runs on each solver that is there, and the modes of each are
 paired with those of the first by shape. Frequencies side by side with MAC between the solvers'
-shapes tell how far, say, CI with CalculiX stands from Nastran.
+shapes show, say, how far CI with CalculiX is from Nastran.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def run_twin(
 ) -> Twin:
     """Run a campaign's modal analysis on each of these solvers.
 
-    A solver that is not installed, or cannot take the model, is told as absent with the reason.
+    A solver that is not installed, or cannot take the model, is absent with the reason.
     Raises CampaignError where none is left, SolverError, StoreError.
     """
     if len(set(solvers)) != len(solvers):
@@ -83,7 +83,7 @@ def run_twin(
             absent.append((solver, str(error)))
     if not campaigns:
         raise CampaignError([f"{solver}: {reason}" for solver, reason in absent])
-    # Shapes at a few sensors would not tell modes apart.
+    # Shapes at a few sensors would not distinguish modes.
     models = [campaign.case.solver.deck.summary for campaign in campaigns]
     nodes = tracking_nodes(frozenset.intersection(*(model.node_ids for model in models)))
     done: list[SolverModes] = []
@@ -111,7 +111,7 @@ def _pairs(first: ModeSet, second: ModeSet) -> Pairing:
 
 
 def twin_summary(twin: Twin) -> dict[str, Json]:
-    """What `modetune twin --json` tells."""
+    """Return the JSON object of a comparison of solvers."""
     return json_object(
         twin,
         "name",

@@ -144,7 +144,7 @@ def leave_out(campaign: Campaign, number: int, configuration: str = "") -> Campa
     else:
         changed = replace(case, aside=True)
     cases = tuple(changed if item is case else item for item in campaign.cases)
-    # All updates begin where the campaign does, or their spread would tell of starts.
+    # All updates begin where the campaign does, or their spread would include that of the starts.
     return replace(campaign, cases=cases, update=campaign.update.model_copy(update={"starts": 1}))
 
 
@@ -182,7 +182,7 @@ def _validated(
     working: Callable[[str], None],
 ) -> Validation:
     started = time.monotonic()
-    campaign.solver_version()  # a missing solver is told before anything else starts
+    campaign.solver_version()  # report a missing solver before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
         several = len(campaigns) > 1

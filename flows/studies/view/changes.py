@@ -67,7 +67,7 @@ def configuration_names(source: YamlFile) -> list[Json]:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A campaign file as it stands and its text after a change; notes: what else follows from it.
+    """A campaign file and its text after a change; notes: other consequences.
 
     before: what is to be written first, such as a file that the new text names.
     """

@@ -1,4 +1,4 @@
-"""A campaign as it stands: its record so far, the jobs under way and the end of its log."""
+"""The current state of a campaign: its record so far, running jobs and the end of its log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test modes beside elastic modes of the first model: MAC, frequencies, and pairs by hand."""
+"""Test modes and elastic modes of the first model: MAC, frequencies, and pairs by hand."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def poles_json(part: Part, band: Band, order: int) -> dict[str, Json]:
 
 
 def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> Change:
-    """Modes of the poles that were picked, in a file of their own that `test.modes` then names.
+    """Modes of the poles that were picked, in a separate file that `test.modes` then names.
 
     Raises CampaignError.
     """

@@ -36,7 +36,7 @@ Mark = int | tuple[float, float, float]
 def sensors_json(part: Part) -> dict[str, Json]:
     """Surface, test points, how they lie over the model, and the landmarks there are.
 
-    Where nothing says how they lie they are drawn beside the model's middle, to be moved by hand.
+    Without a known pose they are drawn next to the model's middle, to be moved by hand.
     Raises CampaignError, ModelError.
     """
     geometry, mesh = _geometry(part), _mesh(part)

@@ -138,7 +138,7 @@ class Guard:
         return response
 
     def _answer(self, request: Request) -> Response | None:
-        """What is said in place of the page; nothing where the request goes on."""
+        """Return the response in place of the page; None where the request is allowed."""
         if request.headers.get("host") not in self.hosts:
             return PlainTextResponse("this host is not served here", 400)
         known = _same(request.cookies.get(self._cookie, ""), self._session)
@@ -241,7 +241,7 @@ def _file(name: str) -> Response:
 
 
 def serve_view(campaign: Path, runs: Path, port: int, opened: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C; port: 0 for one that is free. opened: is told the address.
+    """Serve the page until Ctrl-C; port: 0 for one that is free. opened: receives the address.
 
     Raises CampaignError.
     """
