@@ -332,6 +332,46 @@ def test_every_command_line_of_the_pages_is_one(page: Path) -> None:
         assert options <= known[name] | {"--help"}, line
 
 
+def test_every_command_is_in_the_introduction_of_its_page() -> None:
+    page = (DOCS / "commands.md").read_text()
+    introduction = page[: page.index("\n## ")]
+    shown = set(re.findall(r"^modetune (\w+)", introduction, re.MULTILINE))
+    group: Any = typer.main.get_command(app)
+    assert shown == {name for name, command in group.commands.items() if not command.hidden}
+
+
+#: Paths of the repository in backticks; capitals stand for a name.
+PATHS = re.compile(
+    r"`((?:core|adapters|flows|configs|tests|benchmarks|tools|docs|src)/[\w./-]*[\w/])`"
+)
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE[:2]], ids=lambda page: page.name)
+def test_every_path_and_program_of_the_pages_exists(page: Path) -> None:
+    text = page.read_text()
+    for path in PATHS.findall(text):
+        if re.search(r"\b[A-Z]{3,}\b", path):
+            continue
+        assert (ROOT / path).exists() or (ROOT / f"{path}.py").is_file(), path
+    for script in re.findall(r"\bpython ((?:benchmarks|tools)/\w+\.py)", text):
+        assert (ROOT / script).is_file(), script
+    for module in re.findall(r"\bpython -m ((?:modetune|benchmarks)[\w.]*)", text):
+        name = module.rstrip(".")
+        if importlib.util.find_spec(name) is None:
+            raise AssertionError(module)
+    makefile = (ROOT / "Makefile").read_text()
+    for target in re.findall(r"^make (\w+)|`make (\w+)", text, re.MULTILINE):
+        assert re.search(rf"^{''.join(target)}:", makefile, re.MULTILINE), target
+
+
+def test_the_glossary_has_one_meaning_for_a_term() -> None:
+    rows = re.findall(r"^\| ([^|]+) \|", (DOCS / "glossary.md").read_text(), re.MULTILINE)
+    terms = [term.strip() for row in rows for term in row.split(",")]
+    terms = [term for term in terms if term not in ("term", "---")]
+    assert len(terms) > 50
+    assert sorted(terms) == sorted(set(terms))
+
+
 def test_the_first_campaign_is_that_of_the_lab() -> None:
     page = (DOCS / "first-campaign.md").read_text()
     text = re.search(r"```yaml\n(.*?)```", page, re.DOTALL)

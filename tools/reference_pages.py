@@ -30,11 +30,11 @@ UNIT = re.compile(r"^(.*?)\s*\[([^\[\]]+)\]$", re.DOTALL)
 KEYS_HEAD = f"""{MADE}
 # Campaign keys
 
-Every key of the campaign file, as the program reads it; [the campaign file](campaign.md) explains
-what goes with what. Keys without a default must be given, but for those that an alternative
-replaces. The same as a JSON schema for editors: [campaign.schema.json](campaign.schema.json), or
-`modetune schema --out campaign.schema.json`. With this first line in a campaign, VS Code (with its
-YAML extension) completes keys and shows mistakes while you type:
+All keys of the campaign file; [the campaign file](campaign.md) explains them by topic. A key
+without a default is required, unless an alternative replaces it. The JSON schema for editors,
+[campaign.schema.json](campaign.schema.json), has the same keys; it comes from
+`modetune schema --out campaign.schema.json`. With this first line in a campaign, VS Code with its
+YAML extension completes keys and marks mistakes:
 
 ```yaml
 # yaml-language-server: $schema=campaign.schema.json
@@ -43,21 +43,62 @@ YAML extension) completes keys and shows mistakes while you type:
 COMMANDS_HEAD = f"""{MADE}
 # Commands
 
-`modetune --help` and `modetune COMMAND --help` say the same. Every command ends with one of:
+By task; each command and its options are described below, and in `modetune COMMAND --help`.
+
+```
+# The test
+modetune pretest campaign.yaml     # choose places for sensors and exciters before the test
+modetune inspect lab.unv           # list the contents of a test file; --write converts it
+modetune identify lab.unv --out modes.csv    # identify modes from response functions
+# Before updating
+modetune init deck.bdf lab.unv     # draft a campaign file for a deck and a test
+modetune sensors campaign.yaml     # find the node and direction of each sensor
+modetune check campaign.yaml       # report every problem, then compare model and test
+modetune modes deck.bdf            # compute frequencies, rigid-body modes and mass of a deck
+modetune correlate campaign.yaml   # compare models, tests and runs: pairs, MAC, COMAC
+modetune screen campaign.yaml      # choose parameters among many candidates
+# Updating
+modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
+modetune view campaign.yaml        # follow the campaign in a browser
+modetune explain KEY               # describe a job, and its difference from the nearest result
+# Results
+modetune report runs/garteur       # write the report again, or its figures as PNG or SVG
+modetune paraview runs/garteur     # write the modes before and after updating for ParaView
+modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used
+modetune localise campaign.yaml    # locate modelling errors
+modetune sample campaign.yaml      # sample the posterior of the parameters
+modetune scatter campaign.yaml     # find how parameters vary among repeated tests
+# Whole matrices
+modetune expand campaign.yaml      # expand measured shapes to the whole mesh
+modetune reduce deck.bdf           # condense a model for other programs
+modetune direct model.yaml test.csv          # correct stiffness and mass matrices directly
+# Operation
+modetune deploy campaign.yaml      # put a study on a Prefect server, with a schedule
+modetune serve campaign.yaml       # deploy a campaign and run it in this process
+modetune worker                    # run deployed campaigns on this machine
+modetune server status             # show the Prefect server that commands share
+modetune store size                # show, check and shrink the store of results
+modetune check campaign.yaml --against campaign.h5     # reject a change that makes the deck worse
+modetune doctor                    # test the installation and its solvers
+modetune twin campaign.yaml        # compare the same model on several solvers
+modetune schema                    # print the JSON schema of campaign files
+modetune demo six-mass             # run a case of the reference thesis
+```
+
+Every command ends with one of these exit codes ([causes and remedies](errors.md)):
 
 | exit code | meaning |
 | --- | --- |
-| 0 | done; of `update`: converged |
-| 2 | bad input: a wrong use of the command, the campaign, the model or the test data |
-| 3 | finished, e1 not met; or a check left its band |
-| 4 | the solver failed, or the modes do not allow what was asked |
+| 0 | done; for `update`: converged |
+| 2 | bad input: the command line, the campaign, the model or the test data |
+| 3 | finished, but e1 is not met, or a check left its band |
+| 4 | the solver failed, or the modes do not allow the request |
 | 5 | the store or the record cannot be used |
-| 70 | a fault in modetune; the message names a file to report it with |
+| 70 | a fault in modetune; the message names a file to send with a report |
 | 130 | stopped by the user (Ctrl-C, SIGTERM) |
 
-What is behind each failure: [errors](errors.md). With `--json` standard output is one JSON object
-whatever happens: on failure with `status`, `reason` and `exit_code`. What people read meanwhile
-goes to standard error.
+With `--json`, standard output is always one JSON object, after a failure with `status`, `reason`
+and `exit_code`. Progress and messages go to standard error.
 """
 
 
