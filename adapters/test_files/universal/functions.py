@@ -14,6 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,8 +34,10 @@ from modetune.adapters.test_files.universal.datasets import (
 )
 from modetune.core.measurement.frf import Complexes, Response
 from modetune.core.measurement.measurement import MeasuredFrfs
-from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats
+
+if TYPE_CHECKING:
+    from modetune.core.measurement.time_histories import TimeHistories
 
 RESPONSE_FUNCTION, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 #: What the kinds of dataset 58 are called, for people.
