@@ -20,7 +20,7 @@ from modetune.adapters.calculix.cards import ACROSS, CARDS, constant_places
 from modetune.adapters.calculix.constraints import read_constraints
 from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, read_number
 from modetune.adapters.calculix.mesh import EXPANDED, Incidence, roles_of
-from modetune.adapters.calculix.model import DEPENDENT, CalculixModel
+from modetune.adapters.calculix.structure import DEPENDENT, CalculixStructure
 from modetune.adapters.solver import AffectedElements
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
@@ -42,7 +42,7 @@ Place = tuple[int, int]
 
 
 def affected_elements_of(
-    model: CalculixModel,
+    structure: CalculixStructure,
     incidence: Incidence,
     geometry: Mesh,
     places: Collection[Place],
@@ -54,8 +54,8 @@ def affected_elements_of(
     None where the matrices are not a polynomial of it, where a step before the frequency step may
     preload the structure, or where the number of equations depends on the value.
     """
-    cards = _cards(model, {line for line, _ in places})
-    if model.preload() or not cards:
+    cards = _cards(structure, {line for line, _ in places})
+    if structure.preload() or not cards:
         return None
     rows = [CARDS[keyword] for keyword in {card.keyword for card in cards} & NUMBERS]
     if len(rows) < len({card.keyword for card in cards}) or not all(row.powers for row in rows):
@@ -64,21 +64,21 @@ def affected_elements_of(
     if across and not (
         len(rows) == 1
         and all(_one_power(card, places) for card in cards)
-        and _keeps_knots(model, incidence, geometry, cards)
+        and _keeps_knots(structure, incidence, geometry, cards)
     ):
         return None
-    sets = {name for card in cards for name in _sets(model, card)}
-    members = model.mesh.element_sets
+    sets = {name for card in cards for name in _sets(structure, card)}
+    members = structure.mesh.element_sets
     elements = frozenset[int]().union(*(members.get(name, frozenset()) for name in sets))
     return AffectedElements(
         elements=elements,
-        nodes=_with_tied(model, incidence.nodes(elements)),
+        nodes=_with_tied(structure, incidence.nodes(elements)),
         stiffness=any("K" in row.moves for row in rows),
         mass=any("M" in row.moves for row in rows),
         powers=ACROSS if across else powers,
         proportional=all(row.moves == "K" for row in rows)
-        and not _layered(model, sets)
-        and all(_moduli(model, card) <= set(places) for card in cards),
+        and not _layered(structure, sets)
+        and all(_moduli(structure, card) <= set(places) for card in cards),
     )
 
 
@@ -90,26 +90,26 @@ def _one_power(card: KeywordCard, places: Collection[Place]) -> bool:
     return "COMPOSITE" not in card.options or own == {(line, 0) for line in card.data}
 
 
-def _moduli(model: CalculixModel, card: KeywordCard) -> set[Place]:
+def _moduli(structure: CalculixStructure, card: KeywordCard) -> set[Place]:
     """Constants of an *ELASTIC card that are not zero, Poisson's ratios apart."""
     if card.keyword != "*ELASTIC":
         return set()
     numbers = {(line, place) for _, line, place in constant_places(card, "youngs_modulus")}
-    return {(line, place) for line, place in numbers if model.deck.number(line, place)}
+    return {(line, place) for line, place in numbers if structure.deck.number(line, place)}
 
 
-def _with_tied(model: CalculixModel, nodes: frozenset[int]) -> frozenset[int]:
+def _with_tied(structure: CalculixStructure, nodes: frozenset[int]) -> frozenset[int]:
     """These nodes, and all that ties lead to from them; all nodes where ties are not followed."""
-    if not model.deck.named(*DEPENDENT):
+    if not structure.deck.named(*DEPENDENT):
         return nodes
-    constraints = read_constraints(model)
+    constraints = read_constraints(structure)
     if not constraints.followed:
-        return model.mesh.nodes
+        return structure.mesh.nodes
     ties = [
         {node, *(term for term, _ in terms)} for (node, _), terms in constraints.dependent.items()
     ]
     ties += [{node, body.reference, body.rotation} for node, body in constraints.bodies.items()]
-    return frozenset(with_tied(nodes, ((tied, tied) for tied in ties))) & model.mesh.nodes
+    return frozenset(with_tied(nodes, ((tied, tied) for tied in ties))) & structure.mesh.nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ class Changed:
 
 
 def changed_places(
-    nominal: CalculixModel, texts: Sequence[Sequence[str]], values: Sequence[float]
+    nominal: CalculixStructure, texts: Sequence[Sequence[str]], values: Sequence[float]
 ) -> Changed | None:
     """Numbers of a deck that are others at these relative values, two or more, than at 1.
 
@@ -153,7 +153,7 @@ def changed_places(
     return Changed(frozenset(changed), tuple(sorted(powers)), proportional)
 
 
-def changed_numbers(nominal: CalculixModel, deck: KeywordDeck) -> dict[int, str] | None:
+def changed_numbers(nominal: CalculixStructure, deck: KeywordDeck) -> dict[int, str] | None:
     """The lines in which a deck differs from another; None where more than numbers of cards do.
 
     Of ties the factors may differ, and not what is tied.
@@ -211,40 +211,40 @@ def _fits(numbers: Floats, at: Floats, powers: tuple[int, ...]) -> bool:
     return bool((np.abs(left) <= 1e-9 * np.abs(numbers).max(axis=0)).all())
 
 
-def _cards(model: CalculixModel, lines: Collection[int]) -> list[KeywordCard]:
+def _cards(structure: CalculixStructure, lines: Collection[int]) -> list[KeywordCard]:
     """The cards that have these lines, each once."""
-    cards = model.deck.cards
+    cards = structure.deck.cards
     starts = [card.lines.start for card in cards]
     places = sorted({bisect_right(starts, line) - 1 for line in lines})
     return [cards[place] for place in places if place >= 0]
 
 
-def _sets(model: CalculixModel, card: KeywordCard) -> list[str]:
+def _sets(structure: CalculixStructure, card: KeywordCard) -> list[str]:
     """Element sets that a card's numbers belong to."""
     if CARDS[card.keyword].owner == "elset":
         return [card.option("ELSET")]
-    materials = model.deck.named("*MATERIAL")
+    materials = structure.deck.named("*MATERIAL")
     above = [other for other in materials if other.lines.start < card.lines.start]
     name = above[-1].option("NAME") if above else ""
-    return [user.option("ELSET") for user in model.users({name})]
+    return [user.option("ELSET") for user in structure.users({name})]
 
 
-def _layered(model: CalculixModel, sets: Collection[str]) -> bool:
+def _layered(structure: CalculixStructure, sets: Collection[str]) -> bool:
     """Whether a section of these sets has layers, which may be of other materials too."""
     return any(
-        "COMPOSITE" in card.options for card in model.sections if card.option("ELSET") in sets
+        "COMPOSITE" in card.options for card in structure.sections if card.option("ELSET") in sets
     )
 
 
 def _keeps_knots(
-    model: CalculixModel, incidence: Incidence, geometry: Mesh, cards: Sequence[KeywordCard]
+    structure: CalculixStructure, incidence: Incidence, geometry: Mesh, cards: Sequence[KeywordCard]
 ) -> bool:
     """Whether shells of these sections meet no others of the same thickness about in their plane.
 
     ccx joins those in common expanded nodes, and in knots as soon as the thickness differs: then
     the matrices have other equations. Beams may meet no other beam or shell.
     """
-    members = model.mesh.element_sets
+    members = structure.mesh.element_sets
     sets = [members.get(card.option("ELSET"), frozenset[int]()) for card in cards]
     own = frozenset[int]().union(*sets)
     touched = incidence.nodes(own)
@@ -252,11 +252,11 @@ def _keeps_knots(
     if cards[0].keyword == "*BEAMSECTION":
         others = [number for number in incidence.nodes_of if number not in own]
         meeting = [n for n in others if touched.intersection(incidence.nodes_of[n])]
-        kinds = {model.mesh.elements[number].kind for number in meeting}
+        kinds = {structure.mesh.elements[number].kind for number in meeting}
         alone = all(EXPANDED.isdisjoint(roles_of(kind)) for kind in kinds)
         return alone and all(_straight(incidence.nodes_of[number], places) for number in own)
     try:
-        thickness = _thicknesses(model)
+        thickness = _thicknesses(structure)
     except ModelError:
         return False
     beside: dict[int, list[int]] = {}
@@ -277,15 +277,15 @@ def _keeps_knots(
     return True
 
 
-def _thicknesses(model: CalculixModel) -> dict[int, float]:
+def _thicknesses(structure: CalculixStructure) -> dict[int, float]:
     """Of each shell element the sum of its layers. Raises ModelError where nodes have their own."""
     found = {}
-    for card in model.deck.named("*SHELL SECTION"):
+    for card in structure.deck.named("*SHELL SECTION"):
         if "NODALTHICKNESS" in card.options:
-            raise ModelError(f"{model.deck.where(card)}: nodes have thicknesses of their own")
+            raise ModelError(f"{structure.deck.where(card)}: nodes have thicknesses of their own")
         layers = card.data if "COMPOSITE" in card.options else card.data[:1]
-        total = sum(model.deck.number(line, 0) for line in layers)
-        for number in model.mesh.element_sets.get(card.option("ELSET"), frozenset()):
+        total = sum(structure.deck.number(line, 0) for line in layers)
+        for number in structure.mesh.element_sets.get(card.option("ELSET"), frozenset()):
             found[number] = total
     return found
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
-from modetune.adapters.calculix.model import NOT_FOLLOWED, CalculixModel
+from modetune.adapters.calculix.structure import NOT_FOLLOWED, CalculixStructure
 from modetune.core.errors import ModelError
 
 #: A node and a component, 1..3 translations, 4..6 rotations.
@@ -38,29 +38,29 @@ class Constraints:
     followed: bool
 
 
-def read_constraints(model: CalculixModel) -> Constraints:
+def read_constraints(structure: CalculixStructure) -> Constraints:
     """All ties of the deck. Raises ModelError where a number is none."""
-    sets = node_sets(model)
-    equations = _equations(model)
-    bodies = _bodies(model, sets)
-    followed = not model.deck.named(*NOT_FOLLOWED) and equations is not None
+    sets = node_sets(structure)
+    equations = _equations(structure)
+    bodies = _bodies(structure, sets)
+    followed = not structure.deck.named(*NOT_FOLLOWED) and equations is not None
     dependent = equations or {}
     return Constraints(
-        held=frozenset(_held(model, sets)),
+        held=frozenset(_held(structure, sets)),
         dependent=dependent,
         terms=frozenset(dependent).union(*dependent.values()) if dependent else frozenset(),
         bodies=bodies,
         turned=frozenset(
             node
-            for card in model.deck.named("*TRANSFORM")
+            for card in structure.deck.named("*TRANSFORM")
             for node in sets.get(card.option("NSET"), ())
         ),
         followed=followed,
     )
 
 
-def node_sets(model: CalculixModel) -> dict[str, set[int]]:
-    deck = model.deck
+def node_sets(structure: CalculixStructure) -> dict[str, set[int]]:
+    deck = structure.deck
     sets: dict[str, set[int]] = {}
     for card in deck.named("*NODE"):
         if card.option("NSET"):
@@ -88,10 +88,10 @@ def _whole(text: str) -> int:
     return int(text) if text.isdecimal() else 0
 
 
-def _held(model: CalculixModel, sets: dict[str, set[int]]) -> Iterable[Dof]:
-    for card in model.deck.named("*BOUNDARY"):
+def _held(structure: CalculixStructure, sets: dict[str, set[int]]) -> Iterable[Dof]:
+    for card in structure.deck.named("*BOUNDARY"):
         for position in card.data:
-            fields = [*model.deck.fields(position), "", ""]
+            fields = [*structure.deck.fields(position), "", ""]
             first = _whole(fields[1])
             last = _whole(fields[2]) or first
             for node in set_members(fields[0], sets):
@@ -99,23 +99,23 @@ def _held(model: CalculixModel, sets: dict[str, set[int]]) -> Iterable[Dof]:
                     yield node, component
 
 
-def _equations(model: CalculixModel) -> dict[Dof, dict[Dof, float]] | None:
+def _equations(structure: CalculixStructure) -> dict[Dof, dict[Dof, float]] | None:
     """Terms of each dependent degree of freedom; None where a card is not plain numbers."""
     found: dict[Dof, dict[Dof, float]] = {}
-    for card in model.deck.named("*EQUATION"):
+    for card in structure.deck.named("*EQUATION"):
         try:
-            found |= _card_equations(model, card)
+            found |= _card_equations(structure, card)
         except (ValueError, IndexError, ZeroDivisionError, ModelError):
             return None
     return found
 
 
-def _card_equations(model: CalculixModel, card: KeywordCard) -> dict[Dof, dict[Dof, float]]:
+def _card_equations(structure: CalculixStructure, card: KeywordCard) -> dict[Dof, dict[Dof, float]]:
     found: dict[Dof, dict[Dof, float]] = {}
     words: list[str] = []
     count = 0
     for position in card.data:
-        fields = [field for field in model.deck.fields(position) if field]
+        fields = [field for field in structure.deck.fields(position) if field]
         if not count:
             count, words = int(fields[0]), []
             continue
@@ -133,15 +133,15 @@ def _card_equations(model: CalculixModel, card: KeywordCard) -> dict[Dof, dict[D
     return found
 
 
-def _bodies(model: CalculixModel, sets: dict[str, set[int]]) -> dict[int, Body]:
+def _bodies(structure: CalculixStructure, sets: dict[str, set[int]]) -> dict[int, Body]:
     """Rigid bodies of their dependent nodes.
 
     Where the deck gives no ROT NODE, ccx makes one: of the first card it is the first number
     above all nodes, as long as no other card before makes nodes (*BOUNDARY in turned axes does).
     """
-    cards = model.deck.named("*RIGID BODY")
-    alone = len(cards) == 1 and not model.deck.named("*TRANSFORM", *NOT_FOLLOWED)
-    made = max(model.mesh.nodes) + 1 if alone else 0
+    cards = structure.deck.named("*RIGID BODY")
+    alone = len(cards) == 1 and not structure.deck.named("*TRANSFORM", *NOT_FOLLOWED)
+    made = max(structure.mesh.nodes) + 1 if alone else 0
     found = {}
     for card in cards:
         body = Body(_whole(card.option("REFNODE")), _whole(card.option("ROTNODE")) or made)

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.results import ModalResult
@@ -61,9 +61,9 @@ class CyclicSymmetry:
         return 2 * n_modes + BEYOND if real else n_modes + n_modes % 2
 
 
-def read_cyclic_symmetry(model: CalculixModel) -> CyclicSymmetry | None:
+def read_cyclic_symmetry(structure: CalculixStructure) -> CyclicSymmetry | None:
     """The cyclic symmetry of a deck, None where it has none. Raises ModelError."""
-    deck = model.deck
+    deck = structure.deck
     cards, selected = deck.named("*CYCLIC SYMMETRY MODEL"), deck.named(SELECT)
     if not cards:
         return None

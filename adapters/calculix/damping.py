@@ -9,28 +9,28 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.adapters.calculix.cards import rows_with
-from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.places import fields_of, find_numbers, numbers_on
+from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
 from modetune.adapters.solver import Deck
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter
 
 
-def damped_materials(model: CalculixModel) -> tuple[Parameter, ...]:
+def damped_materials(structure: CalculixStructure) -> tuple[Parameter, ...]:
     """Materials of elements that have a loss factor. Raises ModelError."""
     found = []
-    for card in model.deck.named("*MATERIAL"):
+    for card in structure.deck.named("*MATERIAL"):
         name = card.option("NAME")
-        used = any(model.members(user) for user in model.users({name}))
-        if used and fields_of(model, "structural_damping", name, needed=False):
+        used = any(structure.members(user) for user in structure.users({name}))
+        if used and fields_of(structure, "structural_damping", name, needed=False):
             found.append(group("material", name))
     return tuple(found)
 
 
-def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...]) -> Dampers:
+def dampers(structure: CalculixStructure, deck: Deck, parameters: tuple[Parameter, ...]) -> Dampers:
     """All that damps the deck. Raises ModelError with file and line for what is not followed."""
-    known = Coefficients(parameters, lambda item: find_numbers(model, item))
+    known = Coefficients(parameters, lambda item: find_numbers(structure, item))
     mesh, links = deck.mesh(), []
     place_of = {node: place for place, node in enumerate(mesh.nodes.tolist())}
     ends = {
@@ -38,15 +38,17 @@ def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...])
         for cells in mesh.cells
         for number, nodes in zip(cells.elements.tolist(), cells.nodes.tolist(), strict=True)
     }
-    cards = [(row, c) for row in rows_with("viscous_damping") for c in model.deck.named(row.name)]
+    cards = [
+        (row, c) for row in rows_with("viscous_damping") for c in structure.deck.named(row.name)
+    ]
     for row, card in cards:
-        members, where = model.members(card), model.deck.where(card)
-        kinds = {model.mesh.elements[number].kind for number in members}
+        members, where = structure.members(card), structure.deck.where(card)
+        kinds = {structure.mesh.elements[number].kind for number in members}
         if kinds - {"DASHPOTA"}:
             raise ModelError(
                 f"{where}: {row.name} of {min(kinds)} is not DASHPOTA, as ccx takes it"
             )
-        (field,) = numbers_on(model, row, "viscous_damping", card, card.option("ELSET"))
+        (field,) = numbers_on(structure, row, "viscous_damping", card, card.option("ELSET"))
         number = known.of((field.line, field.place), field.value, where)
         for element in sorted(members):
             first, second = ends[element]
@@ -58,10 +60,10 @@ def dampers(model: CalculixModel, deck: Deck, parameters: tuple[Parameter, ...])
             dofs = tuple((node, axis_of) for node in (first, second) for axis_of in (1, 2, 3))
             factors = (*(-value for value in axis), *axis)
             links.append(Link("viscous", dofs, factors, (number,), where))
-    groups = damped_materials(model)
+    groups = damped_materials(structure)
     factors_of, places = [], []
     for item in groups:
-        (field,) = fields_of(model, "structural_damping", item.targets[0])
-        places.append(model.deck.lines[field.line].where)
+        (field,) = fields_of(structure, "structural_damping", item.targets[0])
+        places.append(structure.deck.lines[field.line].where)
         factors_of.append(known.of((field.line, field.place), field.value, places[-1]))
     return Dampers(tuple(links), losses_of(deck, parameters, groups, factors_of, places))

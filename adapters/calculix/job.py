@@ -20,7 +20,7 @@ from functools import lru_cache
 from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
 from modetune.adapters.calculix.deck import COMMENTS, KeywordCard
-from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.errors import ModelError
@@ -35,22 +35,22 @@ OUTPUT = (
 NO_MODES = (("SOLVER", "MATRIXSTORAGE"), ("GLOBAL", "NO"), ("CYCMPC", "INACTIVE"))
 
 
-def job_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) -> str:
+def job_text(structure: CalculixStructure, changed: dict[int, str], analysis: Analysis) -> str:
     """The text of a job's deck, comments left out. Raises ModelError."""
-    before, above, frequency, below = _split(model)
-    deck = model.deck
+    before, above, frequency, below = _split(structure)
+    deck = structure.deck
     parts = [changed.get(p, deck.lines[p].text) for p in before]
-    parts += _sets(model, analysis)
+    parts += _sets(structure, analysis)
     options = dict(frequency.options) if frequency else {}
     if isinstance(analysis, ModalAnalysis):
-        n_modes = modes_at_most(model, analysis.n_modes)
-        cyclic = read_cyclic_symmetry(model)
+        n_modes = modes_at_most(structure, analysis.n_modes)
+        cyclic = read_cyclic_symmetry(structure)
         if cyclic is None:
-            parts = [*spare_unknowns(model, n_modes), *parts]
+            parts = [*spare_unknowns(structure, n_modes), *parts]
         else:
             n_modes = cyclic.rows(n_modes)
         data, below = str(n_modes), [*below, *_requests(analysis)]
-    elif model.deck.named("*CYCLIC SYMMETRY MODEL"):
+    elif structure.deck.named("*CYCLIC SYMMETRY MODEL"):
         raise ModelError(
             f"{deck.file}: ccx stores the matrices of a sector for no nodal diameter; use strain "
             "energies or finite differences (`sensitivity.method`)"
@@ -63,15 +63,15 @@ def job_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) 
     return "\n".join([*kept, ""])
 
 
-def check_frequency_step(model: CalculixModel) -> list[str]:
+def check_frequency_step(structure: CalculixStructure) -> list[str]:
     """What of the user's *FREQUENCY a campaign cannot keep, a sentence each.
 
     Raises ModelError for what would give other modes than the lowest ones, or none.
     """
     notes = []
-    read_cyclic_symmetry(model)
-    for card in model.deck.named("*FREQUENCY")[:1]:
-        where = model.deck.where(card)
+    read_cyclic_symmetry(structure)
+    for card in structure.deck.named("*FREQUENCY")[:1]:
+        where = structure.deck.where(card)
         for option, value in NO_MODES:
             if card.option(option) == value:
                 raise ModelError(
@@ -79,18 +79,18 @@ def check_frequency_step(model: CalculixModel) -> list[str]:
                     "leave the option out"
                 )
         for line in card.data[:1]:
-            given = [place for place, text in enumerate(model.deck.fields(line)) if text]
-            if 1 in given and model.deck.number(line, 1) > 0.0:
+            given = [place for place, text in enumerate(structure.deck.fields(line)) if text]
+            if 1 in given and structure.deck.number(line, 1) > 0.0:
                 raise ModelError(
-                    f"{model.deck.lines[line].where}: *FREQUENCY asks for modes above "
-                    f"{model.deck.number(line, 1):g} only, and a campaign for the lowest ones: "
+                    f"{structure.deck.lines[line].where}: *FREQUENCY asks for modes above "
+                    f"{structure.deck.number(line, 1):g} only, and a campaign for the lowest ones: "
                     "leave the range out, and name the test's modes that are used by `test.use`"
                 )
             if 2 in given:
                 notes.append(
-                    f"{model.deck.lines[line].where}: the upper frequency "
-                    f"{model.deck.number(line, 2):g} of *FREQUENCY is left out: as many modes are "
-                    "computed as the campaign needs"
+                    f"{structure.deck.lines[line].where}: the upper frequency "
+                    f"{structure.deck.number(line, 2):g} of *FREQUENCY is left out: as many modes "
+                    "are computed as the campaign needs"
                 )
     return notes
 
@@ -100,10 +100,12 @@ def requested_sets(analysis: ModalAnalysis) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for _, sets in analysis.groups for name in sets))
 
 
-def _sets(model: CalculixModel, analysis: Analysis) -> list[str]:
+def _sets(structure: CalculixStructure, analysis: Analysis) -> list[str]:
     if not isinstance(analysis, ModalAnalysis):
         return []
-    everything = [name for name in model.section_sets() if model.mesh.element_sets.get(name)]
+    everything = [
+        name for name in structure.section_sets() if structure.mesh.element_sets.get(name)
+    ]
     return [
         f"*NSET, NSET={NODES}",
         *_wrapped(str(node) for node in analysis.nodes),
@@ -125,12 +127,14 @@ def _wrapped(words: Iterable[str]) -> list[str]:
     return [", ".join(entries[i : i + 16]) for i in range(0, len(entries), 16)]
 
 
-def _split(model: CalculixModel) -> tuple[list[int], list[str], KeywordCard | None, list[str]]:
+def _split(
+    structure: CalculixStructure,
+) -> tuple[list[int], list[str], KeywordCard | None, list[str]]:
     """Positions of the lines before the frequency step; its *FREQUENCY, and around it what stays.
 
     Raises ModelError.
     """
-    deck = model.deck
+    deck = structure.deck
     steps = deck.named("*STEP")
     if not steps:
         return list(range(len(deck.lines))), ["*STEP"], None, []
@@ -169,17 +173,17 @@ STIFFNESS, MASS = 1e-8 * SPARE_EIGENVALUE, 1e-8
 MOST_NODES = 20_000
 
 
-def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
+def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
     """Lines of a deck for a model that may have too few unknowns for so many modes, else none."""
-    wanted, free = FOR_A_MODE * n_modes, _free(model)
-    if any("COMPOSITE" in card.options for card in model.sections):
+    wanted, free = FOR_A_MODE * n_modes, _free(structure)
+    if any("COMPOSITE" in card.options for card in structure.sections):
         return []  # ccx 2.20 takes no masses and springs beside composite shells
     if not free or len({node for node, _ in free}) >= wanted:
         return []
-    first = max(model.mesh.nodes, default=0) + 1
-    element = max(model.mesh.elements, default=0) + 1
+    first = max(structure.mesh.nodes, default=0) + 1
+    element = max(structure.mesh.elements, default=0) + 1
     count = -(-wanted // 3)
-    place = ", ".join(model.deck.fields(model.deck.named("*NODE")[0].data[0])[1:4])
+    place = ", ".join(structure.deck.fields(structure.deck.named("*NODE")[0].data[0])[1:4])
     spare = range(first, first + count)
     lines = ["*NODE", *(f"{node}, {place}" for node in spare)]
     lines += ["*ELEMENT, TYPE=MASS, ELSET=MODETUNE_SPARE"]
@@ -194,26 +198,26 @@ def spare_unknowns(model: CalculixModel, n_modes: int) -> list[str]:
 
 
 @lru_cache(maxsize=4)
-def _free(model: CalculixModel) -> frozenset[Dof]:
+def _free(structure: CalculixStructure) -> frozenset[Dof]:
     """Translations that are not held, dependent or a rigid body's, and those that stand for others.
 
     Empty for large models, and where ties cannot be read, of which ccx says what is wrong.
     """
-    if len(model.mesh.element_nodes) > MOST_NODES:
+    if len(structure.mesh.element_nodes) > MOST_NODES:
         return frozenset()
     try:
-        ties = read_constraints(model)
+        ties = read_constraints(structure)
     except ModelError:
         return frozenset()
-    nodes = model.mesh.element_nodes - set(ties.bodies)
+    nodes = structure.mesh.element_nodes - set(ties.bodies)
     for body in ties.bodies.values():
         nodes |= {body.reference, body.rotation or -body.reference}
     found = {(node, component) for node in nodes for component in (1, 2, 3)}
     return frozenset(found | ties.terms) - ties.held - set(ties.dependent)
 
 
-def modes_at_most(model: CalculixModel, n_modes: int) -> int:
+def modes_at_most(structure: CalculixStructure, n_modes: int) -> int:
     """So many modes, or as many as the model has freedoms for (one sector tells not)."""
-    if model.deck.named("*CYCLIC SYMMETRY MODEL"):
+    if structure.deck.named("*CYCLIC SYMMETRY MODEL"):
         return n_modes
-    return min(n_modes, len(_free(model)) or n_modes)
+    return min(n_modes, len(_free(structure)) or n_modes)

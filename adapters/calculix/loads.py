@@ -24,8 +24,8 @@ from modetune.adapters.calculix.cards import CARDS, first_value
 from modetune.adapters.calculix.constraints import node_sets, read_constraints, set_members
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name
 from modetune.adapters.calculix.mesh import roles_of
-from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.places import fields_of
+from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.element_geometry import FACES, OF_CELLS, SHAPES, Points, face_nodes, nodal_forces
 from modetune.core.errors import ModelError
 from modetune.core.mesh import CORNERS, Cells, Mesh
@@ -39,10 +39,10 @@ OTHER_LOADS = (
 )  # fmt: skip
 
 
-def load_case(model: CalculixModel, mesh: Mesh, number: int) -> LoadCase:
+def load_case(structure: CalculixStructure, mesh: Mesh, number: int) -> LoadCase:
     """The forces of a static step. Raises ModelError where the deck has none, or other loads."""
-    deck = model.deck
-    steps = list(_steps(model))
+    deck = structure.deck
+    steps = list(_steps(structure))
     static = [step for step in steps if any(card.is_one_of("*STATIC") for card in step)]
     if not 0 < number <= len(static):
         at = ", ".join(deck.where(step[0]) for step in static)
@@ -52,23 +52,23 @@ def load_case(model: CalculixModel, mesh: Mesh, number: int) -> LoadCase:
             else "no *STATIC step"
         )
         raise ModelError(f"{deck.file}: the deck has no load case {number}; it has {has}")
-    if model.preload():
+    if structure.preload():
         raise ModelError(
-            f"{model.preload()}: the stiffness depends on a state, and static displacements are "
-            "of the linear model: take it out of the deck"
+            f"{structure.preload()}: the stiffness depends on a state, and static displacements "
+            "are of the linear model: take it out of the deck"
         )
-    sets, forces = node_sets(model), dict[tuple[int, int], tuple[float, str]]()
+    sets, forces = node_sets(structure), dict[tuple[int, int], tuple[float, str]]()
     spread: list[SpreadLoad] = []
-    turned = read_constraints(model).turned
+    turned = read_constraints(structure).turned
     wanted = static[number - 1]
     for step in steps[: steps.index(wanted) + 1]:
         named, before = set[tuple[int, int]](), spread
         for card in step:
-            _refuse(model, card, step is wanted)
+            _refuse(structure, card, step is wanted)
             if card.is_one_of("*DLOAD"):
                 if card.option("OP") == "NEW" and spread is before:
                     spread = []
-                spread = [*spread, *(_spread(model, line) for line in card.data)]
+                spread = [*spread, *(_spread(structure, line) for line in card.data)]
             if not card.is_one_of("*CLOAD"):
                 continue
             if card.option("OP") == "NEW" and not named:
@@ -76,11 +76,11 @@ def load_case(model: CalculixModel, mesh: Mesh, number: int) -> LoadCase:
             for position in card.data:
                 fields, where = [*deck.fields(position), "", ""], deck.lines[position].where
                 members = set_members(fields[0], sets)
-                if not members or not members <= model.mesh.nodes or fields[1] not in "123456":
+                if not members or not members <= structure.mesh.nodes or fields[1] not in "123456":
                     raise ModelError(f"{where}: *CLOAD needs a node or set, 1 to 6, and a force")
                 if members & turned:
                     raise ModelError(f"{where}: *CLOAD at a node of *TRANSFORM is not supported")
-                value = model.deck.number(position, 2)
+                value = structure.deck.number(position, 2)
                 for node in members:
                     dof = node, int(fields[1])
                     there = forces[dof][0] if dof in named else 0.0
@@ -93,21 +93,21 @@ def load_case(model: CalculixModel, mesh: Mesh, number: int) -> LoadCase:
     _refuse_twice(spread)
     found = [(*dof, value, at) for dof, (value, at) in sorted(forces.items())]
     by_mass = any(load.label in ON_MASS for load in spread)
-    return LoadCase.of_forces(found, spread_forces(model, mesh, spread), by_mass)
+    return LoadCase.of_forces(found, spread_forces(structure, mesh, spread), by_mass)
 
 
-def _spread(model: CalculixModel, line: int) -> SpreadLoad:
+def _spread(structure: CalculixStructure, line: int) -> SpreadLoad:
     """A line of *DLOAD. Raises ModelError."""
-    name, label = [*model.deck.fields(line), ""][:2]
-    where, label = model.deck.lines[line].where, label.upper().replace(" ", "")
-    elements = model.mesh.named(name) if name else frozenset[int]()
+    name, label = [*structure.deck.fields(line), ""][:2]
+    where, label = structure.deck.lines[line].where, label.upper().replace(" ", "")
+    elements = structure.mesh.named(name) if name else frozenset[int]()
     pressure = label == "P" or (label[:1] == "P" and label[1:] in tuple("123456"))
     if not elements or not (label in ON_MASS or pressure):
         raise ModelError(
             f"{where}: *DLOAD needs an element or set of the deck, and a load; supported are "
             f"{SUPPORTED}"
         )
-    numbers = [model.deck.number(line, 2 + place) for place in range(ON_MASS.get(label, 1))]
+    numbers = [structure.deck.number(line, 2 + place) for place in range(ON_MASS.get(label, 1))]
     if label in ON_MASS and not math.hypot(*numbers[-3:]):
         raise ModelError(f"{where}: {label} has no direction: its last three numbers are zero")
     return SpreadLoad(elements, label, tuple(numbers), where)
@@ -126,9 +126,9 @@ def _refuse_twice(spread: list[SpreadLoad]) -> None:
             seen[load.label, number] = load.where
 
 
-def _steps(model: CalculixModel) -> Iterator[list[KeywordCard]]:
+def _steps(structure: CalculixStructure) -> Iterator[list[KeywordCard]]:
     step: list[KeywordCard] = []
-    for card in model.deck.cards:
+    for card in structure.deck.cards:
         if card.is_one_of("*STEP"):
             step = [card]
         elif step:
@@ -138,12 +138,12 @@ def _steps(model: CalculixModel) -> Iterator[list[KeywordCard]]:
                 step = []
 
 
-def _refuse(model: CalculixModel, card: KeywordCard, wanted: bool) -> None:
+def _refuse(structure: CalculixStructure, card: KeywordCard, wanted: bool) -> None:
     """Raise ModelError for what makes a case other than forces on the linear model.
 
     wanted: whether the card is in the case's own step; supports of all steps before count too.
     """
-    where = model.deck.where(card)
+    where = structure.deck.where(card)
     if card.is_one_of("*BOUNDARY"):
         raise ModelError(
             f"{where}: *BOUNDARY in a step; supports must stand above all steps, and enforced "
@@ -181,13 +181,13 @@ class SpreadLoad:
 
 
 def spread_forces(
-    model: CalculixModel, mesh: Mesh, loads: Iterable[SpreadLoad]
+    structure: CalculixStructure, mesh: Mesh, loads: Iterable[SpreadLoad]
 ) -> list[tuple[int, int, float, str]]:
     """Node, component, force and place of each. Raises ModelError with file and line."""
     found = []
     for load in loads:
         forces = np.zeros((mesh.nodes.size, 3))
-        densities = _densities(model, load) if load.label in ON_MASS else {}
+        densities = _densities(structure, load) if load.label in ON_MASS else {}
         left = set(load.elements)
         for cells in mesh.cells:
             own = np.isin(cells.elements, list(load.elements))
@@ -201,7 +201,7 @@ def spread_forces(
                 values = _on_mass(block, corners, there, load)
                 nodes = block.nodes
             else:
-                nodes, values = _pressure(model, block, corners, load)
+                nodes, values = _pressure(structure, block, corners, load)
             np.add.at(forces, mesh.rows(nodes).ravel(), values.reshape(-1, 3))
         if left:
             raise ModelError(
@@ -241,11 +241,11 @@ def _on_mass(block: Cells, corners: Floats, densities: Floats, load: SpreadLoad)
 
 
 def _pressure(
-    model: CalculixModel, block: Cells, corners: Floats, load: SpreadLoad
+    structure: CalculixStructure, block: Cells, corners: Floats, load: SpreadLoad
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Floats]:
     """Nodes (n_elements, n_nodes) that carry it, and their forces (n_elements, n_nodes, 3)."""
     size, number = load.numbers[0], load.label[1:]
-    kind = model.mesh.elements[int(block.elements[0])].kind
+    kind = structure.mesh.elements[int(block.elements[0])].kind
     faces = FACES.get(CORNERS[block.kind], ()) if kind.startswith("C3D") else ()
     if not number and kind.startswith("S"):
         shape = SHAPES[OF_CELLS[block.kind]]
@@ -266,39 +266,39 @@ def _pressure(
     return block.nodes[:, own], nodal_forces(shape, corners[:, own], inward)
 
 
-def _densities(model: CalculixModel, load: SpreadLoad) -> dict[int, float]:
+def _densities(structure: CalculixStructure, load: SpreadLoad) -> dict[int, float]:
     """Of each loaded element its mass per volume, area or length, or the mass of a point."""
     found: dict[int, float] = {}
-    for card in model.sections:
-        members = model.members(card) & load.elements
+    for card in structure.sections:
+        members = structure.members(card) & load.elements
         if members:
-            found |= dict.fromkeys(members, _density(model, card, load))
+            found |= dict.fromkeys(members, _density(structure, card, load))
     for number in sorted(load.elements - found.keys()):
         raise ModelError(f"{load.where}: {load.label} on element {number}, which has no section")
     return found
 
 
-def _density(model: CalculixModel, card: KeywordCard, load: SpreadLoad) -> float:
+def _density(structure: CalculixStructure, card: KeywordCard, load: SpreadLoad) -> float:
     if CARDS[card.keyword].massless:
         return 0.0
     if card.is_one_of("*MASS"):
-        return first_value(model.deck, card, 0).value
-    where = f"{load.where}: {load.label}: {model.deck.where(card)}"
-    kinds = {model.mesh.elements[number].kind for number in model.members(card)}
+        return first_value(structure.deck, card, 0).value
+    where = f"{load.where}: {load.label}: {structure.deck.where(card)}"
+    kinds = {structure.mesh.elements[number].kind for number in structure.members(card)}
     roles = {role for kind in kinds for role in roles_of(kind)}
     if "other" in roles or (load.label == "CENTRIF" and roles != {"solid"}):
         raise ModelError(f"{where}: {load.label} on {', '.join(sorted(kinds))} is not supported")
     if {"OFFSET", "OFFSET1", "OFFSET2", "NODALTHICKNESS"} & card.options.keys():
         raise ModelError(f"{where}: sections with OFFSET or NODAL THICKNESS are not supported")
     if "COMPOSITE" in card.options:
-        layers = [(line, canonical_name(model.deck.fields(line)[2])) for line in card.data]
-        return sum(model.deck.number(line, 0) * _of(model, name) for line, name in layers)
-    density = _of(model, card.option("MATERIAL"))
+        layers = [(line, canonical_name(structure.deck.fields(line)[2])) for line in card.data]
+        return sum(structure.deck.number(line, 0) * _of(structure, name) for line, name in layers)
+    density = _of(structure, card.option("MATERIAL"))
     if card.is_one_of("*SHELL SECTION"):
-        return density * first_value(model.deck, card, 0).value
+        return density * first_value(structure.deck, card, 0).value
     if not card.is_one_of("*BEAM SECTION"):
         return density
-    a, b = (model.deck.number(card.data[0], place) for place in (0, 1))
+    a, b = (structure.deck.number(card.data[0], place) for place in (0, 1))
     areas = {
         "RECT": a * b,
         "CIRC": ELLIPSE * a * b / 4.0,
@@ -310,5 +310,5 @@ def _density(model: CalculixModel, card: KeywordCard, load: SpreadLoad) -> float
     return density * areas[section]
 
 
-def _of(model: CalculixModel, material: str) -> float:
-    return fields_of(model, "density", material)[0].value
+def _of(structure: CalculixStructure, material: str) -> float:
+    return fields_of(structure, "density", material)[0].value

@@ -1,117 +1,286 @@
-"""What a CalculiX deck says: nodes, element sets and sections."""
+"""A CalculiX deck with the parameters that edit it, and what they move."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
-from modetune.adapters.calculix.cards import SECTIONS
-from modetune.adapters.calculix.deck import (
-    KeywordCard,
-    KeywordDeck,
-    canonical_name,
-)
-from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh, roles_of
-from modetune.adapters.solver import ModelSummary
+from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
+from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_of
+from modetune.adapters.calculix.damping import damped_materials, dampers
+from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number, write_edited
+from modetune.adapters.calculix.loads import load_case
+from modetune.adapters.calculix.mesh import Incidence, read_geometry
+from modetune.adapters.calculix.observation import observe
+from modetune.adapters.calculix.places import edited_lines, energy_sets, fields_of, find_numbers
+from modetune.adapters.calculix.structure import CalculixStructure
+from modetune.adapters.damping import NOTHING, Dampers, damps_only
+from modetune.adapters.deck_numbers import Number
+from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Target
+from modetune.core.errors import ModelError
+from modetune.core.expressions import degree
+from modetune.core.mesh import Mesh, cell_sizes
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import DAMPING, Parameter, TargetKind, Values, assigned, driven_by
+from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.observation import Observation
+from modetune.core.updating.results import MatrixResult
+from modetune.core.updating.static import LoadCase
 
-#: Cards that tie nodes to others: their unknowns are not in the stored matrices.
-DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
-
-#: Those of them that are not followed to the unknowns they depend on.
-NOT_FOLLOWED = (*DEPENDENT[2:], "*CYCLIC SYMMETRY MODEL", "*PRE-TENSION SECTION")
-
-#: Elements whose printed strain energy is zero (SPRINGA, users' own) or lacks the hourglass part.
-WITHOUT_ENERGY = re.compile(r"SPRINGA|U.*|C3D8R|(S|M3D|CPS|CPE|CAX)4R")
-#: Elements that leave the unknowns of the stored matrices at the nodes of the deck.
-UNEXPANDED = re.compile(r"C3D.*|SPRING[12A]|MASS|DASHPOTA")
+#: Items of Young's moduli of engineering constants.
+DIRECTIONS = (1, 2, 3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalculixModel:
-    """A deck understood: its mesh, and its sections. Each is itself alone.
+@dataclass(frozen=True, slots=True)
+class EditedCalculix:
+    """A model with some lines of its deck changed.
 
-    copies: materials that were added for parameters' elements, by the one they are copies of;
-    split: what was added so, a sentence each.
+    frames: axes in which shapes are wanted, by node, where another deck (one that was translated)
+    stands behind this one; None where this one is the user's.
     """
 
-    deck: KeywordDeck
-    mesh: CalculixMesh
-    copies: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    split: tuple[str, ...] = ()
+    structure: CalculixStructure
+    changed: dict[int, str]
+    frames: Mapping[int, Floats] | None = None
 
-    @property
+    def texts(self) -> list[str]:
+        """The lines of the deck as they are now."""
+        lines = enumerate(self.structure.deck.lines)
+        return [self.changed.get(position, line.text) for position, line in lines]
+
+
+@dataclass(frozen=True)
+class CalculixModel(Deck):
+    """A CalculiX deck and the parameters that edit it."""
+
+    structure: CalculixStructure
+    parameters: tuple[Parameter, ...]
+
+    @cached_property
     def summary(self) -> ModelSummary:
-        elements = self.mesh.elements.values()
-        solid = all(UNEXPANDED.fullmatch(element.kind) for element in elements)
-        # A dependent or reference node carries results without belonging to an element.
-        free = not self.deck.named(*DEPENDENT)
-        return ModelSummary(
-            name=self.deck.file.stem,
-            node_ids=self.mesh.element_nodes if free else self.mesh.nodes,
-            components=frozenset({1, 2, 3}),  # ccx prints no rotations
-            n_elements=len(elements),
-            solid_shapes=solid and free and not self.deck.named("*TRANSFORM"),
-            matrix_shapes=self._followed(),
-            file=self.deck.file,
+        return self.structure.summary
+
+    @cached_property
+    def _mesh(self) -> Mesh:
+        return read_geometry(self.structure.deck, self.structure.mesh, self.summary.node_ids)
+
+    def mesh(self) -> Mesh:
+        return self._mesh
+
+    def numbers(self, parameter: Parameter) -> list[Number]:
+        return find_numbers(self.structure, parameter)
+
+    def splits(self) -> tuple[str, ...]:
+        return self.structure.split
+
+    def targets(self) -> tuple[Target, ...]:
+        return targets(self.structure)
+
+    def elastic_constants(self) -> dict[str, tuple[float, float]]:
+        return elastic_constants(self.structure)
+
+    def material_masses(self) -> dict[str, float]:
+        return material_masses(self.structure, cell_sizes(self.mesh()))
+
+    def least_length(self) -> float:
+        return min(super().least_length(), least_thickness(self.structure))
+
+    def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
+        if self.preload() or not parameter.proportional or driven_by(parameter, self.parameters):
+            return ()
+        return energy_sets(self.structure, parameter)
+
+    def is_linear(self, parameter: Parameter) -> bool:
+        """Of engineering constants a single Young's modulus is coupled with the others."""
+        return not self.preload() and all(
+            (item.quantity == "variable" or powers_of(item.quantity) == (1,))
+            and (item.quantity != "youngs_modulus" or item.item not in DIRECTIONS)
+            and degree(item.expression or "0") < 2
+            for item in (parameter, *driven_by(parameter, self.parameters))
         )
-
-    def _followed(self) -> bool:
-        """Whether all elements and ties are of kinds whose displacements equations tell."""
-        kinds = {element.kind for element in self.mesh.elements.values()}
-        return not self.deck.named(*NOT_FOLLOWED) and all(
-            "other" not in roles_of(kind) for kind in kinds
-        )
-
-    @property
-    def sections(self) -> list[KeywordCard]:
-        return self.deck.named(*SECTIONS)
-
-    def section_sets(self) -> tuple[str, ...]:
-        """Element sets of all sections: together the whole model."""
-        return tuple(dict.fromkeys(card.option("ELSET") for card in self.sections))
 
     def preload(self) -> str:
-        """The first card by which the stiffness depends on a state, with file and line, or empty.
+        return self.structure.preload()
 
-        That is a step before a frequency step with PERTURBATION, which starts from its stresses and
-        displacements (without the word ccx takes none of them), or contact. Moduli that depend on
-        temperature do not: a parameter scales them all alike.
-        """
-        frequency, contact = self.deck.named("*FREQUENCY"), self.deck.named("*CONTACT PAIR")
-        if frequency:
-            first = frequency[0].lines.start
-            steps = [step for step in self.deck.named("*STEP") if step.lines.start < first]
-            if len(steps) > 1 and "PERTURBATION" in steps[-1].options:
-                return f"{self.deck.where(steps[0])}: a step before that of the frequencies"
-        return f"{self.deck.where(contact[0])}: contact" if contact else ""
+    @cached_property
+    def _incidence(self) -> Incidence:
+        mesh = self.structure.mesh
+        return Incidence({number: item.nodes for number, item in mesh.elements.items()}, mesh)
 
-    @property
-    def hides_energy(self) -> bool:
-        """Whether a mode may have strain energy that ccx does not print."""
-        kinds = {element.kind for element in self.mesh.elements.values()}
-        return bool(self.preload()) or any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds)
+    @cached_property
+    def _affected(self) -> dict[tuple[frozenset[Place], tuple[int, ...]], AffectedElements | None]:
+        """Elements by what they were asked for: several times in a campaign."""
+        return {}
 
-    def members(self, card: KeywordCard) -> frozenset[int]:
-        """Elements of a section."""
-        return self.mesh.element_sets.get(card.option("ELSET"), frozenset())
+    def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
+        if damps_only(parameter, self.parameters):
+            return NOTHING
+        driven = driven_by(parameter, self.parameters)
+        across = powers_of(parameter.quantity) == ACROSS
+        plain = parameter.proportional and not driven
+        if not (across and plain) and not self.is_linear(parameter):
+            return None
+        numbers = [n for item in (parameter, *driven) for n in find_numbers(self.structure, item)]
+        found = self.affected_elements_of({number.place for number in numbers})
+        return found and replace(
+            found, proportional=found.proportional and plain, related=bool(driven)
+        )
 
-    def users(self, materials: set[str]) -> list[KeywordCard]:
-        """Sections that use one of these materials."""
-        return [
-            card
-            for card in self.sections
-            if card.option("MATERIAL") in materials or materials & self.layers(card)
-        ]
+    def affected_elements_of(
+        self, places: Collection[Place], powers: tuple[int, ...] = (1,)
+    ) -> AffectedElements | None:
+        """What these numbers of the deck move, as one relative value of theirs."""
+        asked = frozenset(places), powers
+        if asked not in self._affected:
+            self._affected[asked] = affected_elements_of(
+                self.structure, self._incidence, self.mesh(), places, powers
+            )
+        return self._affected[asked]
 
-    def layers(self, card: KeywordCard) -> set[str]:
-        """Materials of a laminate: the third field of each layer."""
-        if "COMPOSITE" not in card.options:
-            return set()
-        rows = (self.deck.fields(position) for position in card.data)
-        return {canonical_name(row[2]) for row in rows if len(row) > 2}
+    def observation(
+        self, matrices: MatrixResult, nodes: Integers, components: Integers
+    ) -> Observation:
+        return observe(
+            self.structure, self._incidence, matrices.nodes, matrices.components, nodes, components
+        )
+
+    def load_case(self, number: int, values: Values | None = None) -> LoadCase:
+        structure, changed = self.structure, self.edited(values or {}).changed
+        if changed:
+            lines = list(structure.deck.lines)
+            for place, text in changed.items():
+                lines[place] = lines[place]._replace(text=text)
+            structure = replace(structure, deck=replace(structure.deck, lines=lines))
+        return load_case(structure, self.mesh(), number)
+
+    def undamped(self) -> str:
+        try:
+            found = self._dampers
+        except ModelError as error:
+            return str(error)
+        if found.links or found.losses:
+            return ""
+        return f"{self.structure.deck.file}: the deck has no *DASHPOT, nor *DAMPING of a material"
+
+    def losses(self) -> tuple[Parameter, ...]:
+        return self._losses
+
+    def damping(self, base: MatrixResult) -> DampingModel:
+        return self._dampers.model(self, base)
+
+    @cached_property
+    def _losses(self) -> tuple[Parameter, ...]:
+        return damped_materials(self.structure)
+
+    @cached_property
+    def _dampers(self) -> Dampers:
+        return dampers(self.structure, self, self.parameters)
+
+    def edited(self, values: Values) -> EditedCalculix:
+        moving = [pair for pair in self._assigned(values) if pair[0].quantity not in DAMPING]
+        return EditedCalculix(self.structure, edited_lines(self.structure, moving))
+
+    def write_updated(self, values: Values, folder: Path) -> Path:
+        changed = edited_lines(self.structure, self._assigned(values))
+        return write_edited(self.structure.deck, changed, folder)
+
+    def _assigned(self, values: Values) -> list[tuple[Parameter, float]]:
+        """Parameters with values, those of groups' stiffness last."""
+        groups = values.keys() - {item.name for item in self.parameters}
+        return assigned((*self.parameters, *(self._losses if groups else ())), values)
 
 
-def understand(deck: KeywordDeck) -> CalculixModel:
-    """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
-    return CalculixModel(deck, read_mesh(deck))
+def point_mass(structure: CalculixStructure, changed: dict[int, str]) -> float:
+    """Sum of all *MASS elements, which ccx leaves out of its own total.
+
+    NaN beside user elements, of which ccx prints no mass.
+    """
+    total = math.nan if structure.deck.named("*USER SECTION") else 0.0
+    for card in structure.deck.named("*MASS"):
+        field = first_value(structure.deck, card, 0)
+        text = changed.get(field.line, structure.deck.lines[field.line].text)
+        elements = structure.mesh.element_sets.get(card.option("ELSET"), frozenset())
+        total += read_number(text.split(",")[0]) * len(elements)
+    return total
+
+
+def least_thickness(structure: CalculixStructure) -> float:
+    """The least thickness of shells and plies, and dimension of beams; infinite without."""
+    shells, beams = structure.deck.named("*SHELL SECTION"), structure.deck.named("*BEAM SECTION")
+    layered = [card for card in shells if "COMPOSITE" in card.options]
+    fields = [structure.deck.fields(position)[0] for card in layered for position in card.data]
+    fields += [structure.deck.fields(p)[0] for c in shells if c not in layered for p in c.data[:1]]
+    fields += [text for c in beams for p in c.data[:1] for text in structure.deck.fields(p)]
+    found = [math.inf]
+    for text in filter(None, fields):
+        with suppress(ValueError):  # ccx says what is wrong with it
+            found.append(read_number(text))
+    return min(value for value in found if value > 0.0)
+
+
+def elastic_constants(structure: CalculixStructure) -> dict[str, tuple[float, float]]:
+    """E, the largest one, and density (0 without) of each material that elements use."""
+    found = {}
+    for card in structure.deck.named("*MATERIAL"):
+        name, density = card.option("NAME"), 0.0
+        with suppress(ModelError):  # a material without density has stiffness alone
+            density = fields_of(structure, "density", name)[0].value
+        with suppress(ModelError):  # not used, or no such card
+            modulus = max(field.value for field in fields_of(structure, "youngs_modulus", name))
+            if modulus > 0.0:
+                found[name] = modulus, max(density, 0.0)
+    return found
+
+
+#: Sections whose numbers parameters name by their element set.
+BY_SET = tuple(row.name for row in CARDS.values() if row.owner == "elset" and row.numbers)
+
+
+def targets(structure: CalculixStructure) -> tuple[Target, ...]:
+    """Materials and sections with elements, each once."""
+    found: dict[tuple[str, str], Target] = {}
+    for card in structure.deck.named("*MATERIAL", *BY_SET):
+        by_set = card.is_one_of(*BY_SET)
+        name = card.option("ELSET" if by_set else "NAME")
+        sections = [card] if by_set else structure.users({name})
+        count = len(frozenset[int]().union(*map(structure.members, sections)))
+        if name and count:
+            by: TargetKind = "elset" if by_set else "material"
+            found.setdefault((by, name), Target(by, (name,), card.keyword, count))
+    return tuple(found.values())
+
+
+def material_masses(structure: CalculixStructure, sizes: Mapping[int, float]) -> dict[str, float]:
+    """About the mass of each material; sizes: length, area or volume of each element."""
+    found: dict[str, float] = {}
+    for card in structure.deck.named("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION"):
+        members = structure.mesh.element_sets.get(card.option("ELSET"), frozenset())
+        size = sum(sizes.get(number, 0.0) for number in members)
+        rows = [structure.deck.fields(position) for position in card.data]
+        layers = [(card.option("MATERIAL"), _across(card, rows))]
+        if "COMPOSITE" in card.options:
+            layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
+        for name, across in layers:
+            with suppress(ModelError):  # a material that has no density
+                mass = fields_of(structure, "density", name)[0].value * across * size
+                found[name] = found.get(name, 0.0) + mass
+    return found
+
+
+def _number(text: str) -> float:
+    """A number of a section, 0 where it is none, of which ccx says what is wrong."""
+    with suppress(ValueError):
+        return read_number(text)
+    return 0.0
+
+
+def _across(card: KeywordCard, rows: list[list[str]]) -> float:
+    """What a section's size is multiplied with: thickness, area of a beam or truss, or 1."""
+    numbers = [_number(text) for text in rows[0]] if rows else []
+    if card.is_one_of("*BEAM SECTION"):
+        return math.prod(numbers[:2])
+    return numbers[0] if numbers and numbers[0] > 0.0 else 1.0

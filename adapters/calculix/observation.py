@@ -23,7 +23,7 @@ import numpy as np
 
 from modetune.adapters.calculix.constraints import Constraints, Dof, read_constraints
 from modetune.adapters.calculix.mesh import EXPANDED, Incidence, Role, read_places
-from modetune.adapters.calculix.model import CalculixModel
+from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.observation import Observation, Weights, from_rows, named_rows
 
@@ -48,7 +48,7 @@ OWN: Mapping[Role, tuple[float, ...]] = {
 
 
 def observe(
-    model: CalculixModel,
+    structure: CalculixStructure,
     incidence: Incidence,
     nodes: Integers,
     components: Integers,
@@ -60,7 +60,7 @@ def observe(
     nodes, components: (n_equations,), names of the equations; wanted_nodes, wanted_components:
     (n_wanted,). Raises ModelError where the deck cannot be read.
     """
-    constraints = read_constraints(model)
+    constraints = read_constraints(structure)
     told = set(wanted_nodes.tolist())
     told |= {node for node, _ in constraints.terms}
     told |= {
@@ -69,12 +69,12 @@ def observe(
     numbers = np.array(sorted(told), dtype=np.int64)
     rows = named_rows(nodes, components, numbers)
     bodies = bool(constraints.bodies)
-    offset = any("OFFSET" in name for card in model.sections for name in card.options)
+    offset = any("OFFSET" in name for card in structure.sections for name in card.options)
     naming = Naming(
         rows=rows,
         roles=incidence.roles(told),
         constraints=constraints,
-        places=read_places(model.deck) if bodies else {},
+        places=read_places(structure.deck) if bodies else {},
         offset=offset,
     )
     wanted = zip(wanted_nodes.tolist(), wanted_components.tolist(), strict=True)

@@ -11,7 +11,7 @@ from modetune.adapters.calculix.deck import (
     format_number,
     replace_field,
 )
-from modetune.adapters.calculix.model import WITHOUT_ENERGY, CalculixModel
+from modetune.adapters.calculix.structure import WITHOUT_ENERGY, CalculixStructure
 from modetune.adapters.deck_numbers import Number, check_moved, check_one, moved_numbers
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
@@ -19,58 +19,58 @@ from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 
 
-def find_fields(model: CalculixModel, parameter: Parameter) -> list[KeywordField]:
+def find_fields(structure: CalculixStructure, parameter: Parameter) -> list[KeywordField]:
     """Where the parameter stands. Raises ModelError with the first reason why it does not."""
     if not rows_with(parameter.quantity) or parameter.by in ("property", "part"):
         raise ModelError(f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update")
     names = tuple(map(canonical_name, parameter.targets))
     if parameter.quantity in OF_MATERIALS:
-        names = find_materials(model, parameter)
+        names = find_materials(structure, parameter)
     found: list[KeywordField] = []
     for name in names:
-        fields = _picked(fields_of(model, parameter.quantity, name), name, parameter)
+        fields = _picked(fields_of(structure, parameter.quantity, name), name, parameter)
         for first in fields[:1]:
-            what = f"{model.deck.lines[first.line].where}: {parameter.quantity} of {name}"
+            what = f"{structure.deck.lines[first.line].where}: {parameter.quantity} of {name}"
             check_moved(parameter, what, (one.value for one in fields))
         found += fields
     return found
 
 
-def find_materials(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
+def find_materials(structure: CalculixStructure, parameter: Parameter) -> tuple[str, ...]:
     """Materials that a parameter names, or those of its elements. Raises ModelError."""
     targets = list(map(canonical_name, parameter.targets))
     if parameter.by == "material":
-        return tuple(name for old in targets for name in (old, *model.copies.get(old, ())))
+        return tuple(name for old in targets for name in (old, *structure.copies.get(old, ())))
     found: dict[str, None] = {}
     for target in targets:
-        elements = model.mesh.named(target)
+        elements = structure.mesh.named(target)
         if not elements:
             what = "element set" if parameter.by == "elset" else "element"
             raise ModelError(
-                f"the deck has no {what} {target}{suggestion(target, model.mesh.element_sets)}"
+                f"the deck has no {what} {target}{suggestion(target, structure.mesh.element_sets)}"
             )
-        sections = [card for card in model.sections if model.members(card) & elements]
+        sections = [card for card in structure.sections if structure.members(card) & elements]
         names = [card.option("MATERIAL") for card in sections]
-        names += [name for card in sections for name in sorted(model.layers(card))]
+        names += [name for card in sections for name in sorted(structure.layers(card))]
         if not any(names):
             raise ModelError(f"no section gives the elements of {target} a material")
         found.update(dict.fromkeys(filter(None, names)))
     return tuple(found)
 
 
-def find_numbers(model: CalculixModel, parameter: Parameter) -> list[Number]:
+def find_numbers(structure: CalculixStructure, parameter: Parameter) -> list[Number]:
     """What the parameter moves. Raises ModelError for why it can be nothing."""
     if parameter.quantity == "variable":
         return []
-    lines = model.deck.lines
+    lines = structure.deck.lines
     return [
         Number((f.line, f.place), f.value, lines[f.line].where, f.item < 0)
-        for f in find_fields(model, parameter)
+        for f in find_fields(structure, parameter)
     ]
 
 
 def edited_lines(
-    model: CalculixModel, parameters: Iterable[tuple[Parameter, float]]
+    structure: CalculixStructure, parameters: Iterable[tuple[Parameter, float]]
 ) -> dict[int, str]:
     """New texts of the lines that these values change.
 
@@ -79,17 +79,17 @@ def edited_lines(
     changed: dict[int, str] = {}
     factors: dict[tuple[int, int], float] = {}
     for parameter, value in parameters:
-        for number, there in moved_numbers(parameter, find_numbers(model, parameter), value):
+        for number, there in moved_numbers(parameter, find_numbers(structure, parameter), value):
             if there != number.value:
                 line, place = number.place
                 there *= factors.get(number.place, 1.0)  # of a group's stiffness beside others
                 factors[number.place] = there / number.value if number.value else 1.0
-                text = changed.get(line, model.deck.lines[line].text)
+                text = changed.get(line, structure.deck.lines[line].text)
                 changed[line] = replace_field(text, place, format_number(there))
     return changed
 
 
-def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
+def energy_sets(structure: CalculixStructure, parameter: Parameter) -> tuple[str, ...]:
     """Element sets whose strain energy is proportional to the parameter.
 
     None where sections overlap or a laminate uses the material among others (the energy of
@@ -99,23 +99,23 @@ def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
         return ()
     rows = [row for row in rows_with(parameter.quantity) if row.numbers[parameter.quantity].energy]
     if any(row.owner == "material" for row in rows):
-        users = model.users(set(find_materials(model, parameter)))
+        users = structure.users(set(find_materials(structure, parameter)))
         if any("COMPOSITE" in card.options for card in users):
             return ()
         sets = sorted({card.option("ELSET") for card in users})
     elif rows:
         names = map(canonical_name, parameter.targets)
-        cards = [card for name in names for _, card in _cards(model, parameter.quantity, name)]
+        cards = [card for name in names for _, card in _cards(structure, parameter.quantity, name)]
         sets = sorted({card.option("ELSET") for card in cards})
     else:
         return ()
-    members = model.mesh.element_sets
+    members = structure.mesh.element_sets
     sets = [name for name in sets if members.get(name)]
-    kinds = {model.mesh.elements[number].kind for name in sets for number in members[name]}
+    kinds = {structure.mesh.elements[number].kind for name in sets for number in members[name]}
     if any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds):
         return ()
     inside = [members[name] for name in sets]
-    others = [name for name in model.section_sets() if name not in sets]
+    others = [name for name in structure.section_sets() if name not in sets]
     outside = [members.get(name, frozenset()) for name in others]
     union = frozenset[int]().union(*inside)
     alone = len(union) == sum(map(len, inside)) and union.isdisjoint(set().union(*outside))
@@ -123,18 +123,20 @@ def energy_sets(model: CalculixModel, parameter: Parameter) -> tuple[str, ...]:
 
 
 def fields_of(
-    model: CalculixModel, quantity: Quantity, name: str, needed: bool = True
+    structure: CalculixStructure, quantity: Quantity, name: str, needed: bool = True
 ) -> list[KeywordField]:
     """The numbers of a quantity that a material or an element set has.
 
     Raises ModelError where they are needed and there are none.
     """
     found, rows = list[KeywordField](), rows_with(quantity)
-    for row, card in _cards(model, quantity, name):
+    for row, card in _cards(structure, quantity, name):
         again = bool(found) and row.numbers[quantity].once
-        found += numbers_on(model, row, quantity, card, name)
+        found += numbers_on(structure, row, quantity, card, name)
         if again:
-            raise ModelError(f"{model.deck.where(card)}: {row.owner} {name} has {row.name} twice")
+            raise ModelError(
+                f"{structure.deck.where(card)}: {row.owner} {name} has {row.name} twice"
+            )
     for row in rows:
         if needed and not found and row.numbers[quantity].absent:
             raise ModelError(row.numbers[quantity].absent.format(name=name))
@@ -142,25 +144,27 @@ def fields_of(
 
 
 def numbers_on(
-    model: CalculixModel, row: Card, quantity: Quantity, card: KeywordCard, name: str
+    structure: CalculixStructure, row: Card, quantity: Quantity, card: KeywordCard, name: str
 ) -> list[KeywordField]:
     """The numbers of a quantity on one card of a material or an element set. Raises ModelError."""
-    elements = model.mesh.elements
+    elements = structure.mesh.elements
 
     def kinds() -> frozenset[str]:
-        return frozenset(elements[number].kind for number in model.members(card))
+        return frozenset(elements[number].kind for number in structure.members(card))
 
-    return row.numbers[quantity].find(model.deck, card, name, kinds)
+    return row.numbers[quantity].find(structure.deck, card, name, kinds)
 
 
-def _cards(model: CalculixModel, quantity: Quantity, name: str) -> list[tuple[Card, KeywordCard]]:
+def _cards(
+    structure: CalculixStructure, quantity: Quantity, name: str
+) -> list[tuple[Card, KeywordCard]]:
     """The cards of a material or an element set that have a quantity. Raises ModelError."""
     found, refusals = list[tuple[Card, KeywordCard]](), list[str]()
     for row in rows_with(quantity):
-        cards = _owned(model, row, name)
+        cards = _owned(structure, row, name)
         found += [(row, card) for card in cards]
         if row.owner == "elset" and not cards:
-            known = [card.option("ELSET") for card in model.deck.named(row.name)]
+            known = [card.option("ELSET") for card in structure.deck.named(row.name)]
             refusals.append(f"the deck has no {row.name} for {name}{suggestion(name, known)}")
         elif not row.numbers[quantity].absent and not any(card.data for card in cards):
             if row.owner == "material":
@@ -170,29 +174,29 @@ def _cards(model: CalculixModel, quantity: Quantity, name: str) -> list[tuple[Ca
     return found
 
 
-def _owned(model: CalculixModel, row: Card, name: str) -> list[KeywordCard]:
+def _owned(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCard]:
     """The cards of a row of a material, or of an element set or parts of it. Raises ModelError."""
     if row.owner == "material":
-        return _of_material(model, row, name)
-    cards = [card for card in model.deck.named(row.name) if card.option("ELSET") == name]
+        return _of_material(structure, row, name)
+    cards = [card for card in structure.deck.named(row.name) if card.option("ELSET") == name]
     if not cards:
-        members = model.mesh.named(name)
-        parts = [card for card in model.deck.named(row.name) if model.members(card)]
-        return [card for card in parts if model.members(card) <= members]
-    if not model.mesh.element_sets.get(name):
-        raise ModelError(f"{model.deck.where(cards[0])}: element set {name} has no elements")
+        members = structure.mesh.named(name)
+        parts = [card for card in structure.deck.named(row.name) if structure.members(card)]
+        return [card for card in parts if structure.members(card) <= members]
+    if not structure.mesh.element_sets.get(name):
+        raise ModelError(f"{structure.deck.where(cards[0])}: element set {name} has no elements")
     return cards
 
 
-def _of_material(model: CalculixModel, row: Card, name: str) -> list[KeywordCard]:
-    names = [card.option("NAME") for card in model.deck.named("*MATERIAL")]
+def _of_material(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCard]:
+    names = [card.option("NAME") for card in structure.deck.named("*MATERIAL")]
     if name not in names:
         raise ModelError(f"the deck has no material {name}{suggestion(name, names)}")
-    users = model.users({name})
-    if not any(model.mesh.element_sets.get(card.option("ELSET")) for card in users):
+    users = structure.users({name})
+    if not any(structure.mesh.element_sets.get(card.option("ELSET")) for card in users):
         raise ModelError(f"no element uses material {name}")
     inside, cards = False, []
-    for card in model.deck.cards:
+    for card in structure.deck.cards:
         if card.keyword == "*MATERIAL":
             inside = card.option("NAME") == name
         elif inside and card.is_one_of(row.name):

@@ -20,16 +20,15 @@ from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text, modes_at_most
-from modetune.adapters.calculix.model import CalculixModel, understand
-from modetune.adapters.calculix.parametric_deck import CalculixDeck, EditedCalculix
+from modetune.adapters.calculix.model import CalculixModel, EditedCalculix, point_mass
 from modetune.adapters.calculix.results import (
     SolverMessage,
     read_messages,
     read_modal,
     read_version,
 )
-from modetune.adapters.calculix.sections import point_mass
 from modetune.adapters.calculix.splitting import split_model
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.cross_checks import check_energies, mark_of, without_spare
 from modetune.adapters.process import as_block, log_tail, read_log, run_process
 from modetune.adapters.regular_file import read_errors, read_regular
@@ -98,7 +97,7 @@ class CalculixProgram:
         return self._version
 
     def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
-        text = job_text(deck.model, deck.changed, analysis)
+        text = job_text(deck.structure, deck.changed, analysis)
         modal = isinstance(analysis, ModalAnalysis)
         if not modal and find_spec("polars") is None:  # reads them: told before the run
             raise ModuleNotFoundError("No module named 'polars'", name="polars")
@@ -138,7 +137,7 @@ class CalculixProgram:
         messages = read_messages(log)
         if messages:
             said = as_block("\n".join(message.text for message in messages))
-            place = _place(messages, deck.model, deck.changed)
+            place = _place(messages, deck.structure, deck.changed)
             if "memory" in said.lower():
                 raise SolverExhausted(f"CalculiX ran out of memory in {folder}:\n{said}")
             if "aupd" in said and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
@@ -150,19 +149,19 @@ class CalculixProgram:
                 f"line\n{log_tail(folder)}"
             )
         if isinstance(analysis, ModalAnalysis):
-            ballast = point_mass(deck.model, deck.changed)
+            ballast = point_mass(deck.structure, deck.changed)
             dat = folder / f"{JOB}.dat"
-            asked = replace(analysis, n_modes=modes_at_most(deck.model, analysis.n_modes))
-            cyclic = read_cyclic_symmetry(deck.model)
+            asked = replace(analysis, n_modes=modes_at_most(deck.structure, analysis.n_modes))
+            cyclic = read_cyclic_symmetry(deck.structure)
             found = read_modal(dat, asked, ballast, _node_set(folder), cyclic)
             result = without_spare(found)
-            if not deck.model.preload():
+            if not deck.structure.preload():
                 try:
                     check_energies(result.eigenvalues, result.total_strain_energy)
                 except ValueError as error:
                     raise NoResult(f"{dat} contradicts itself: {error}") from error
             energies = result.total_strain_energy
-            if deck.model.hides_energy:
+            if deck.structure.hides_energy:
                 told = 2.0 * energies > STRAINED * result.eigenvalues
                 energies = np.where(told, energies, np.nan)
             modes = in_frames(result.modes, deck.frames or {})
@@ -190,38 +189,40 @@ def _node_set(folder: Path) -> str:
     return text[text.rfind(NODES) :].partition(",")[0]
 
 
-def _place(messages: list[SolverMessage], model: CalculixModel, changed: Mapping[int, str]) -> str:
+def _place(
+    messages: list[SolverMessage], structure: CalculixStructure, changed: Mapping[int, str]
+) -> str:
     """Where the user's deck has what the messages speak of, the file alone where none tells.
 
     A message may quote a line (in upper case without blanks, often below the first message),
     name an element, or at least the keyword, which tells if there is one such card.
     """
-    lines = model.deck.lines
+    lines = structure.deck.lines
     squeezed: dict[str, int] = {}
     for position, line in enumerate(lines):
         text = "".join(changed.get(position, line.text).upper().split())
         squeezed.setdefault(text, position)
     quoted = ("".join(message.card_image.upper().split()) for message in messages)
     found = [squeezed[text] for text in quoted if text and text in squeezed]
-    elements = model.mesh.elements
+    elements = structure.mesh.elements
     found += [elements[m.element].line for m in messages if m.element in elements]
-    cards = (model.deck.named(message.keyword) for message in messages)
+    cards = (structure.deck.named(message.keyword) for message in messages)
     found += [named[0].lines.start for named in cards if len(named) == 1]
     if found:
         return f"at {lines[found[0]].where}"
-    return str(model.deck.file)
+    return str(structure.deck.file)
 
 
 def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
-    model = split_model(understand(read_deck(deck)), parameters)
-    for note in check_frequency_step(model):
+    structure = split_model(understand(read_deck(deck)), parameters)
+    for note in check_frequency_step(structure):
         logger.warning("%s", note)
     program = calculix_program()
-    if read_cyclic_symmetry(model) is not None:  # of a sector ccx stores no nodal diameter's
+    if read_cyclic_symmetry(structure) is not None:  # of a sector ccx stores no nodal diameter's
         without = replace(program.capabilities, matrices=False, matrix_modes=False)
         program = replace(program, capabilities=without)
-    return Solver(CalculixDeck(model, parameters), program)
+    return Solver(CalculixModel(structure, parameters), program)
 
 
 def calculix_program() -> CalculixProgram:

@@ -21,7 +21,7 @@ from modetune.adapters.calculix.deck import (
     replace_field,
     with_added,
 )
-from modetune.adapters.calculix.model import CalculixModel, understand
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.splitting import (
     OF_MATERIALS,
     Selection,
@@ -37,19 +37,21 @@ from modetune.core.parameters import Parameter
 ENTRIES = 16
 
 
-def split_model(model: CalculixModel, parameters: Sequence[Parameter]) -> CalculixModel:
+def split_model(structure: CalculixStructure, parameters: Sequence[Parameter]) -> CalculixStructure:
     """The model with sections and materials of their own for what parameters name."""
-    return _split_materials(_split_sections(model, parameters), parameters)
+    return _split_materials(_split_sections(structure, parameters), parameters)
 
 
-def _split_sections(model: CalculixModel, parameters: Sequence[Parameter]) -> CalculixModel:
-    deck, sets = model.deck, model.mesh.element_sets
-    chosen = _selections(model, parameters)
+def _split_sections(
+    structure: CalculixStructure, parameters: Sequence[Parameter]
+) -> CalculixStructure:
+    deck, sets = structure.deck, structure.mesh.element_sets
+    chosen = _selections(structure, parameters)
     changed: dict[int, str] = {}
     added: dict[int, list[str]] = defaultdict(list)
     said = []
     taken = set(sets)
-    for card in model.sections:
+    for card in structure.sections:
         old = card.option("ELSET")
         (_, kept), *others = cut(chosen, sets.get(old, frozenset()))
         if not others:
@@ -66,26 +68,28 @@ def _split_sections(model: CalculixModel, parameters: Sequence[Parameter]) -> Ca
             behind += [texts.get(line, deck.lines[line].text) for line in _text_lines(deck, card)]
             said.append(f"{deck.where(card)}: added a {card.keyword} for {told}")
     if not said:
-        return model
+        return structure
     again = understand(with_added(deck, changed, added))
-    return replace(again, split=(*model.split, *said))
+    return replace(again, split=(*structure.split, *said))
 
 
-def _split_materials(model: CalculixModel, parameters: Sequence[Parameter]) -> CalculixModel:
-    deck, sets = model.deck, model.mesh.element_sets
-    chosen = [item for item in _selections(model, parameters) if item.material]
+def _split_materials(
+    structure: CalculixStructure, parameters: Sequence[Parameter]
+) -> CalculixStructure:
+    deck, sets = structure.deck, structure.mesh.element_sets
+    chosen = [item for item in _selections(structure, parameters) if item.material]
     changed: dict[int, str] = {}
     added: dict[int, list[str]] = defaultdict(list)
     copies: dict[str, list[str]] = defaultdict(list)
     said = []
-    sections = {card.lines.start: card for card in model.sections}
+    sections = {card.lines.start: card for card in structure.sections}
     materials = {card.option("NAME"): card for card in deck.named("*MATERIAL")}
     taken = set(materials)
     for old, head in materials.items():
         users = {
             start: acting(chosen, sets.get(card.option("ELSET"), frozenset()))
             for start, card in sections.items()
-            if old == card.option("MATERIAL") or old in model.layers(card)
+            if old == card.option("MATERIAL") or old in structure.layers(card)
         }
         for names, members in cells_of(users)[1:]:
             name = _free_name(old, taken)
@@ -102,18 +106,18 @@ def _split_materials(model: CalculixModel, parameters: Sequence[Parameter]) -> C
             for start in members:
                 changed |= _with_material(deck, sections[start], changed, old, name)
     if not said:
-        return model
+        return structure
     again = understand(with_added(deck, changed, added))
-    return replace(again, copies=dict(copies), split=(*model.split, *said))
+    return replace(again, copies=dict(copies), split=(*structure.split, *said))
 
 
-def _selections(model: CalculixModel, parameters: Sequence[Parameter]) -> list[Selection]:
+def _selections(structure: CalculixStructure, parameters: Sequence[Parameter]) -> list[Selection]:
     found = []
     for parameter in parameters:
         if parameter.by not in ("elset", "element"):
             continue
         material = parameter.quantity in OF_MATERIALS
-        elements = [model.mesh.named(target) for target in parameter.targets]
+        elements = [structure.mesh.named(target) for target in parameter.targets]
         found.append(Selection(parameter.name, frozenset[int]().union(*elements), material))
     return found
 

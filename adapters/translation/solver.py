@@ -18,9 +18,9 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.calculix.affected_elements import changed_numbers, changed_places
-from modetune.adapters.calculix.model import WITHOUT_ENERGY, understand
-from modetune.adapters.calculix.parametric_deck import CalculixDeck, EditedCalculix
+from modetune.adapters.calculix.model import CalculixModel, EditedCalculix
 from modetune.adapters.calculix.solver import calculix_program
+from modetune.adapters.calculix.structure import WITHOUT_ENERGY, understand
 from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.bulk import Bulk, edited_bulk, read_bulk
@@ -69,13 +69,13 @@ class TranslatedDeck(NastranModel):
         )
 
     @cached_property
-    def _nominal(self) -> CalculixDeck:
-        return CalculixDeck(self.edited({}).model, ())
+    def _nominal(self) -> CalculixModel:
+        return CalculixModel(self.edited({}).structure, ())
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         """Return the deck's sets, none where CalculiX prints no whole energy of their elements."""
         names = super().energy_sets(parameter)
-        mesh = self._nominal.model.mesh
+        mesh = self._nominal.structure.mesh
         members = [mesh.element_sets.get(name, frozenset()) for name in names]
         kinds = {mesh.elements[number].kind for numbers in members for number in numbers}
         whole = all(members) and not any(WITHOUT_ENERGY.fullmatch(kind) for kind in kinds)
@@ -101,7 +101,7 @@ class TranslatedDeck(NastranModel):
             edits = [self.edited({**rest, parameter.name: value}) for value in (1.0, *values)]
         except ModelError:
             return None
-        changed = changed_places(edits[0].model, [item.texts() for item in edits], values)
+        changed = changed_places(edits[0].structure, [item.texts() for item in edits], values)
         if changed is None:
             return None
         found = self._nominal.affected_elements_of(changed.places, changed.powers)
@@ -167,9 +167,9 @@ class TranslatedDeck(NastranModel):
         translation = self._translation(changed)
         if nominal is None:
             self._shells.append(translation.shells)
-        lines = changed_numbers(nominal.model, translation.deck) if nominal else None
+        lines = changed_numbers(nominal.structure, translation.deck) if nominal else None
         if nominal is not None and lines is not None:
-            return EditedCalculix(nominal.model, lines, translation.frames)
+            return EditedCalculix(nominal.structure, lines, translation.frames)
         return EditedCalculix(understand(translation.deck), {}, translation.frames)
 
     def _edited_shells(
@@ -185,13 +185,13 @@ class TranslatedDeck(NastranModel):
             numbers = self._shells[0].edited(bulk)
         if numbers is None:
             return None
-        deck, lines = nominal.model.deck, dict[int, str]()
+        deck, lines = nominal.structure.deck, dict[int, str]()
         for card in deck.named("*MATERIAL", "*MASS"):
             texts = numbers.get(card.option("NAME") or card.option("ELSET"), ())
             for place, text in enumerate(texts, card.lines.start + 1):
                 if deck.lines[place].text != text:
                     lines[place] = text
-        return EditedCalculix(nominal.model, lines, nominal.frames)
+        return EditedCalculix(nominal.structure, lines, nominal.frames)
 
     def _of_shells(self, changed: dict[int, str]) -> bool:
         """Return whether these lines belong only to properties of shells and their materials."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from modetune.adapters.calculix.frd import convert_frd
-from modetune.adapters.calculix.parametric_deck import CalculixDeck
+from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.solver import JOB, CalculixProgram
 from modetune.adapters.paraview import check_series, mode_grids, write_fields, write_series
 from modetune.adapters.solver import ModalAnalysis
@@ -182,7 +182,7 @@ def _write_state(campaign: Campaign, state: State, values: Values, out: Path) ->
     job = Job(
         values, ModalAnalysis(campaign.case.n_modes, tuple(sorted(solver.deck.summary.node_ids)))
     )
-    if isinstance(solver.program, CalculixProgram) and isinstance(solver.deck, CalculixDeck):
+    if isinstance(solver.program, CalculixProgram) and isinstance(solver.deck, CalculixModel):
         # Its job's folder stays until the .frd file there is converted.
         kept = campaign.run.model_copy(update={"keep_jobs": True})
         program = replace(solver.program, with_frd=True)

@@ -13,9 +13,9 @@ from pyNastran.bdf.bdf import BDF
 from scipy import integrate
 
 from modetune.adapters.calculix.deck import parse_deck
-from modetune.adapters.calculix.model import understand
-from modetune.adapters.calculix.parametric_deck import CalculixDeck
+from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.solver import calculix_program
+from modetune.adapters.calculix.structure import understand
 from modetune.adapters.nastran.cross_sections import shape_of
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver
@@ -78,7 +78,7 @@ def solve(
     factor = bulk.params["WTMASS"].values[0] if "WTMASS" in bulk.params else 1.0
     translation = translate(bulk, "model.dat", frozenset(), spc=spc, mpc=0, wtmass=factor)
     deck = parse_deck(Path("model.dat (translated)"), translation.text)
-    solver = Solver(CalculixDeck(understand(deck), ()), calculix_program())
+    solver = Solver(CalculixModel(understand(deck), ()), calculix_program())
     analysis = ModalAnalysis(n_modes, translation.grids, tuple((name, (name,)) for name in sets))
     solver.render({}, analysis).write(folder)
     finished = run_process(solver.program.command(1), folder, 60.0, threading.Event())

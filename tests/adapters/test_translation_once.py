@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from modetune.adapters.calculix.model import CalculixModel, understand
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.nastran import bulk as nastran_bulk
 from modetune.adapters.nastran.bulk import read_bulk
 from modetune.adapters.solver import ModalAnalysis, Solver
@@ -149,7 +149,7 @@ def test_a_deck_is_read_and_understood_once(
         read.append(deck)
         return read_bulk(deck)  # type: ignore[arg-type]
 
-    def counted_understand(deck: object) -> CalculixModel:
+    def counted_understand(deck: object) -> CalculixStructure:
         understood.append(deck)
         return understand(deck)  # type: ignore[arg-type]
 

@@ -9,7 +9,7 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.job import check_frequency_step, job_text, spare_unknowns
-from modetune.adapters.calculix.model import CalculixModel, understand
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 
@@ -48,7 +48,7 @@ EMAS
 """
 
 
-def own_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) -> str:
+def own_text(model: CalculixStructure, changed: dict[int, str], analysis: Analysis) -> str:
     """The job of a model of four nodes without its spare unknowns."""
     text = job_text(model, changed, analysis)
     if not isinstance(analysis, ModalAnalysis):
@@ -58,7 +58,7 @@ def own_text(model: CalculixModel, changed: dict[int, str], analysis: Analysis) 
     return text.removeprefix(spare)
 
 
-def model_of(folder: Path, text: str) -> CalculixModel:
+def model_of(folder: Path, text: str) -> CalculixStructure:
     path = folder / "main.inp"
     path.write_text(text)
     return understand(read_deck(path))

@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from modetune.adapters.calculix.deck import read_deck, read_number
-from modetune.adapters.calculix.model import CalculixModel, understand
-from modetune.adapters.calculix.parametric_deck import CalculixDeck
+from modetune.adapters.calculix.model import CalculixModel, elastic_constants, point_mass
 from modetune.adapters.calculix.places import edited_lines, energy_sets, find_fields
-from modetune.adapters.calculix.sections import elastic_constants, point_mass
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.core.errors import ModelError
 from modetune.core.parameters import QUANTITIES, Parameter, Quantity
 from tests.adapters.ccx_decks import bar
@@ -77,7 +76,7 @@ DECK = """\
 """
 
 
-def model_of(folder: Path, text: str = DECK) -> CalculixModel:
+def model_of(folder: Path, text: str = DECK) -> CalculixStructure:
     path = folder / "main.inp"
     path.write_text(text)
     return understand(read_deck(path))
@@ -142,7 +141,7 @@ def test_two_parameters_on_one_line_are_both_edited(tmp_path: Path) -> None:
 
 
 def test_two_parameters_on_one_number_are_refused(tmp_path: Path) -> None:
-    deck = CalculixDeck(model_of(tmp_path), ())
+    deck = CalculixModel(model_of(tmp_path), ())
     both = parameter("youngs_modulus", "AL", "SKIN AL", name="E_all")
     one = parameter("youngs_modulus", "AL", name="E_al")
     assert deck.problems((both, one)) == [

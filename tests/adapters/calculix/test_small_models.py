@@ -9,8 +9,8 @@ import pytest
 
 from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.job import spare_unknowns
-from modetune.adapters.calculix.model import understand
 from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.calculix.structure import understand
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.updating.results import ModalResult
 from tests.adapters.calculix.test_model import parameter

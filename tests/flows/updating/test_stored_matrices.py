@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.adapters.calculix.parametric_deck import EditedCalculix
+from modetune.adapters.calculix.model import EditedCalculix
 from modetune.adapters.calculix.solver import JOB, CalculixProgram, calculix_solver
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
 from modetune.adapters.test_files.modes_csv import write_modes_csv
