@@ -121,8 +121,7 @@ def _read(item: StudyParameter, value: Any) -> Any:
     if item.reader is not None:
         return item.reader(value or "")
     if item.choices and value is not None:
-        option = item.info.param_decls[0] if item.info.param_decls else None
-        return named(option or f"--{item.name.replace('_', '-')}", value, item.choices)
+        return named(item.option, value, item.choices)
     return value
 
 

@@ -228,6 +228,9 @@ def _carried(
             opened = handed.opened
         if flow_run.name != opened.name:
             _rename(flow_run, opened.name)
+        if flow_run.deployment_id is None:  # the pages have no button for such a run
+            page.log(f"to repeat this run: {study.command_line(parameters)}")
+            page.log(f"to cancel this run: prefect flow-run cancel {flow_run.id}")
         on = replace(opened, progress=progress, scheduled=flow_run.deployment_id is not None)
         progress.name = on.name
         if study.name == "update":

@@ -71,7 +71,7 @@ def carried_out(
                 end = _as_flow(study, checked, on, progress, server, own_process)
                 if end is not None:
                     return end
-                remark = f"Prefect's server at {server.pages} refused the run"
+                remark = f"Prefect's server at {server.pages} did not take the run"
             else:
                 remark = server.describe(found)
         end = _on_pool(study, checked, on)

@@ -16,6 +16,7 @@ Nothing heavy is imported here, because the command line reads these definitions
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, is_dataclass
@@ -338,6 +339,31 @@ class StudyParameter:
             return tuple(values) if get_origin(kind) is tuple else values
         return Path(plain) if kind is Path else plain
 
+    @property
+    def option(self) -> str:
+        """Its option on the command line; typer keeps a name of its own as the first default."""
+        names = (self.info.default, *(self.info.param_decls or ()))
+        named = (name for name in names if isinstance(name, str) and name.startswith("--"))
+        return next(named, f"--{self.name.replace('_', '-')}")
+
+    def words(self, value: Any) -> list[str]:
+        """Return the words of the command line that give a checked value; none for the default.
+
+        Paths are always given, because their defaults depend on the current folder.
+        """
+        given = self.is_path or value != self.json_value(self.default)
+        if not given or value in (None, []):
+            return []
+        if isinstance(value, bool):
+            return [self.option]
+        if not isinstance(value, list):
+            texts = [str(value)]
+        elif self.reader is None:
+            texts = [str(one) for one in value]
+        else:
+            texts = [",".join(map(str, value))]
+        return texts if self.is_argument else [word for one in texts for word in (self.option, one)]
+
     def _expected(self) -> str:
         if self.choices:
             return f"one of {', '.join(map(str, self.choices))}"
@@ -470,6 +496,15 @@ class Study:
         if problems:
             raise CampaignError(problems)
         return values
+
+    def command_line(self, parameters: Mapping[str, Any]) -> str:
+        """Return the command that runs the study with these parameters, from any folder.
+
+        Raises CampaignError.
+        """
+        checked = self.checked(parameters)
+        words = [word for item in self.fields for word in item.words(checked[item.name])]
+        return shlex.join(["modetune", self.name, *words])
 
     def solves(self, parameters: Mapping[str, Any]) -> bool:
         """Whether a solver may run with these parameters. Raises CampaignError."""

@@ -19,7 +19,7 @@ from modetune.flows.jobs.silent_runs import RESOURCE, SILENT_S, SilentRuns, send
 from modetune.flows.server.worker import CampaignWorker, FixedConfiguration, check_login
 from tests.eventually import eventually
 from tests.flows.conftest import api_of
-from tests.flows.server.site import ENDED, GOOD, RUN, SERVER, WORKER, Site, stop
+from tests.flows.server.site import ENDED, GOOD, PATIENCE_S, RUN, SERVER, WORKER, Site, stop
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +99,33 @@ def test_a_run_that_is_cancelled_on_its_page_ends_and_frees_its_slot(site: Site)
     assert eventually(lambda: site.processes(RUN) == [])
     check_next(site)
     stop(worker)
+
+
+def test_a_run_of_a_command_shows_what_repeats_and_what_cancels_it(site: Site) -> None:
+    """Prefect's pages have no button for runs without a deployment."""
+    site.hang()
+    command = site.start("update", "campaign.yaml", "--set", "update.max_iterations=5")
+    of_command = {"deployment_id": {"is_null_": True}, "state": {"type": {"any_": ["RUNNING"]}}}
+
+    def lines() -> list[str]:
+        runs = site.ask("/flow_runs/filter", {"flow_runs": of_command})
+        logs = {"logs": {"flow_run_id": {"any_": [run["id"] for run in runs]}}}
+        return [item["message"] for item in site.ask("/logs/filter", logs)] if runs else []
+
+    assert eventually(lambda: any(line.startswith("to cancel") for line in lines()), PATIENCE_S)
+    shown = dict(line.split(": ", 1) for line in lines() if line.startswith("to "))
+    file, runs = site.folder / "campaign.yaml", site.folder / "runs"
+    assert shown["to repeat this run"] == (
+        f"modetune update {file} --runs {runs} --set update.max_iterations=5"
+    )
+    prefect, *words = shown["to cancel this run"].split()
+    cancelled = site.program(sys.executable, "-m", prefect, *words, **site.prefect())
+    assert cancelled.returncode == 0, cancelled.stderr
+    began = time.monotonic()
+    command.communicate(timeout=60.0)
+    assert (command.returncode, time.monotonic() - began < 10.0) == (130, True)
+    site.resume()
+    assert site.state(words[-1])["state_type"] == "CANCELLED"
 
 
 def test_a_worker_that_is_ended_ends_its_runs(site: Site) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -122,6 +123,22 @@ def test_parameters_survive_json(name: str) -> None:
         for one in paths
         for path in (one if isinstance(one, list) else [one])
     )
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_command_line_gives_back_the_parameters(
+    name: str, calls: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    study = find_study(name)
+    first = study.fields[0].name
+    for parameters in (filled(study), {first: filled(study)[first]}):
+        checked = study.checked(parameters)
+        program, command, *words = shlex.split(study.command_line(checked))
+        assert (program, command) == ("modetune", name)
+        with monkeypatch.context() as elsewhere:
+            elsewhere.chdir(tmp_path)
+            assert typed(name, *words) == 0
+            assert study.checked(calls[-1]["parameters"]) == checked
 
 
 @pytest.mark.parametrize("name", STUDIES)
