@@ -8,6 +8,7 @@ wait for: what a task needs it takes from the store, so a failed column stops no
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Lock
@@ -245,24 +246,27 @@ def dask_task_runner(
                     len(apart), url, ", ".join(apart[:3])
                 )  # fmt: skip
                 found = DaskRunner(client, parallel)
-            client.register_plugin(_bounded_events(url))
+            client.register_plugin(_worker_plugin(url))
             try:
                 yield found
             finally:
                 end_runs(client, sorted(found.runs))
 
 
-def _bounded_events(url: str) -> Any:
-    """A plugin of Dask workers: events that a server does not take are dropped at once."""
+def _worker_plugin(url: str) -> Any:
+    """A plugin of Dask workers: events that a server does not take are dropped at once, and
+    Prefect's log stays out of the terminal unless the user set its level."""
     from distributed import WorkerPlugin
 
-    class BoundedEvents(WorkerPlugin):
-        name = "modetune-events"
+    class PrefectWorker(WorkerPlugin):
+        name = "modetune-prefect"
 
         def setup(self, worker: Any) -> None:
             bounded_events(url)
+            if "PREFECT_LOGGING_LEVEL" not in os.environ:
+                logging.getLogger("prefect").setLevel(logging.CRITICAL)
 
-    return BoundedEvents()
+    return PrefectWorker()
 
 
 def _named(name: str) -> dict[str, Any]:
