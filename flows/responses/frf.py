@@ -25,11 +25,11 @@ from modetune.flows.responses.response import (
 )
 from modetune.flows.responses.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
 
-#: Of the lowest and the highest frequency of the used modes: where the band ends by itself.
+#: Default ends of the band, as parts of the lowest and the highest frequency of the used modes.
 BELOW, ABOVE = 0.7, 1.1
-#: What readers' notes on functions without reference, or units, have in them.
+#: Readers' notes on functions without a reference or units contain this.
 OF_FUNCTIONS = "response function"
-#: A damping ratio, or the name of a variable that is one.
+#: A damping ratio, or the name of a `variable` parameter that is one.
 Ratio = Annotated[float, Field(gt=0.0, lt=1.0)] | Name
 
 
@@ -182,7 +182,7 @@ class FrfSection(ResponseSection):
         return BELOW * float(hz.min()), ABOVE * float(hz.max())
 
     def _curves(self, given: TestedModel) -> tuple[FrfCurve, ...]:
-        """Functions whose two ends the model has, at their chosen lines."""
+        """Return the functions between two sensors of the model, at their chosen lines."""
         frfs, seen = given.frfs, given.seen
         if frfs is None or seen is None:
             return ()
@@ -214,15 +214,15 @@ def _ends(frfs: MeasuredFrfs, column: int) -> tuple[tuple[int, int], tuple[int, 
 
 
 def curve_name(frfs: MeasuredFrfs, column: int) -> str:
-    """What people call a response function."""
+    """Return the name of a response function for people."""
     output, force = _ends(frfs, column)
     return f"response function {dof_name(output)} by {dof_name(force)}"
 
 
 def receptance(frfs: MeasuredFrfs, column: int, kilograms: float, metres: float) -> Complexes:
-    """In units of so many kilograms and metres and along the positive directions, (n_lines,).
+    """Return a function (n_lines,) as receptance along the positive directions.
 
-    0 at 0 Hz of motions by time.
+    kilograms, metres: of the units of the result. Mobilities and accelerances give 0 at 0 Hz.
     """
     output, force = _ends(frfs, column)
     unit = kilograms * metres ** ((output[1] > 3) + (force[1] > 3))

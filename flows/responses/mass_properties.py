@@ -48,12 +48,12 @@ class MassQuantitySection(Section):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The limits, infinite where there are none."""
+        """The limits, infinite where none is given."""
         low, high = self.limits or (None, None)
         return -math.inf if low is None else low, math.inf if high is None else high
 
     def as_target(self) -> MassTarget:
-        """As the program has it; one that has limits alone has no weight."""
+        """Return the target with its limits; limits without a target have weight 0."""
         if self.target is None or self.deviation is None:
             near = next(end for end in self.ends if math.isfinite(end))
             return MassTarget(near, abs(near) or 1.0, 0.0, self.ends)

@@ -36,7 +36,7 @@ from modetune.flows.responses.section import (
     by_name,
 )
 
-#: What a key of modes stands for.
+#: Keys by mode, and by sensor.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
 SensorKey = Literal["sensor_weight", "sensor_deviation"]
 #: The response types besides frequencies and shapes, in the order of their rows: the file of this
@@ -159,34 +159,35 @@ class ResidualSection(Section):
         weights = [self.shape_weight, *(section.shape_weights for section in self.kinds.values())]
         return any(value > 0.0 for item in weights for value in item.values())
 
-    def of_mode(self, key: ModeKey, number: int, told: float | None = None) -> float:
-        """A key's value for one mode; told: by the test file."""
+    def of_mode(self, key: ModeKey, number: int, of_test: float | None = None) -> float:
+        """Return a key's value for one mode; of_test: the test's, None where it has none."""
         given: dict[str, float] = getattr(self, key)
         if str(number) in given:
             return given[str(number)]
-        if told is None or (key in self.model_fields_set and OTHERS in given):
+        if of_test is None or (key in self.model_fields_set and OTHERS in given):
             return self.of_others(key)
-        return told
+        return of_test
 
     def of_others(self, key: ModeKey) -> float:
-        """A key's value for the modes that it does not name."""
+        """Return a key's value for the modes that it does not list."""
         given: dict[str, float] = getattr(self, key)
         default: float = type(self).model_fields[key].default
         return given.get(OTHERS, default)
 
 
-#: Steps that know no weights, but which responses there are (thesis (34), (45)).
+#: Steps without weights (thesis (34), (45)).
 UNWEIGHTED = ("pseudo_inverse", "minimum_norm")
 
 
 def weighting_of(
     section: ResidualSection, measurement: Measurement, test: MeasuredModes
 ) -> Weighting:
-    """The weighting of modes of a test at their sensors; what the campaign does not say, the test
-    may tell."""
-    told = _told(measurement)
+    """Return the weighting of a test's modes at their sensors.
+
+    Deviations that the campaign does not give may come from the test."""
+    of_test = _deviations(measurement)
     by_mode = [
-        np.array([section.of_mode(key, n, told.get(key, {}).get(n)) for n in test.numbers])
+        np.array([section.of_mode(key, n, of_test.get(key, {}).get(n)) for n in test.numbers])
         for key in ("frequency_deviation", "shape_deviation", "frequency_weight", "shape_weight")
     ]
     by_sensor = [
@@ -198,7 +199,7 @@ def weighting_of(
 
 
 def _correlation(section: ResidualSection, measurement: Measurement, test: MeasuredModes) -> Floats:
-    """Correlation of frequencies (n, n) as far as the test tells their deviations; else none."""
+    """Return the correlation (n, n) of frequencies whose deviations the test gives; else (0, 0)."""
     modes, known = measurement.modes, measurement.deviations
     if modes is None or known is None or known.correlation is None:
         return np.zeros((0, 0))
@@ -210,8 +211,8 @@ def _correlation(section: ResidualSection, measurement: Measurement, test: Measu
     return found
 
 
-def _told(measurement: Measurement) -> dict[str, dict[int, float]]:
-    """Deviations that the test tells, by the campaign's key and the mode's number."""
+def _deviations(measurement: Measurement) -> dict[str, dict[int, float]]:
+    """Return the deviations from the test, by the campaign's key and the mode's number."""
     modes, known = measurement.modes, measurement.deviations
     if modes is None or known is None:
         return {}
@@ -227,7 +228,7 @@ def _told(measurement: Measurement) -> dict[str, dict[int, float]]:
 
 
 def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes:
-    """The test without the sensors that have no weight."""
+    """Return the test without the sensors of weight 0."""
     kept = np.flatnonzero(_by_sensor(section.sensor_weight, test.modes) > 0.0)
     if kept.size == test.modes.n_dof:
         return test
@@ -324,7 +325,7 @@ def _idle(
 
 
 def _by_sensor(given: Mapping[str, float], modes: ModeSet) -> Floats:
-    """Values of the sensors (n_dof,): its own, that of its point, or 1."""
+    """Return the values of the sensors (n_dof,): the sensor's, that of its point, or 1."""
     return np.array(
         [given.get(name, given.get(name.partition(".")[0], 1.0)) for name in _sensor_names(modes)]
     )

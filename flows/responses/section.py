@@ -1,5 +1,4 @@
-"""What every section of a campaign file is: its keys are its fields, unknown ones are refused;
-`--set KEY.KEY=VALUE` goes over the file."""
+"""Sections of a campaign file: their keys are their fields, and unknown keys are refused."""
 
 from __future__ import annotations
 
@@ -19,21 +18,21 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
 
-#: Stands for the modes that a key does not name.
+#: The name of all modes that a key does not list.
 OTHERS = "others"
 
 
 def by_name(given: object) -> object:
-    """A mapping with names as text, as the file's lines go by them."""
+    """Return a mapping with its names as text, as the file's lines have them."""
     return {str(key): value for key, value in given.items()} if isinstance(given, dict) else given
 
 
 def by_mode(given: object) -> object:
-    """The same; one value goes for all modes."""
+    """Return a mapping by modes; a single value is for all modes."""
     return by_name(given) if isinstance(given, dict) else {OTHERS: given}
 
 
-#: One value, or values by a mode's number and of the `others`.
+#: One value, or values by the number of a mode and for the `others`.
 Weights = Annotated[
     dict[str, NotNegative],
     BeforeValidator(by_mode, json_schema_input_type=NotNegative | dict[str, NotNegative]),
@@ -45,7 +44,7 @@ Deviations = Annotated[
 
 
 class Section(BaseModel):
-    """A mapping of the campaign file; the docstring below a field says what its key means."""
+    """A mapping of the campaign file; the docstring below a field is the meaning of its key."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
@@ -53,9 +52,9 @@ class Section(BaseModel):
 def section_problems(
     error: ValidationError, file: YamlFile, section: type[Section], name: str
 ) -> list[str]:
-    """What does not fit a section that a whole file is, each with file and line.
+    """Return the problems of a file that is a section, each with file and line.
 
-    name: of the file, for what is wrong with it as a whole.
+    name: of the file, for problems of the whole.
     """
     errors = error.errors()
     places = [item["loc"] for item in errors]
@@ -81,17 +80,17 @@ def section_problems(
 
 
 def _keys(section: type[Section], place: tuple[str | int, ...]) -> list[str]:
-    """The keys that what stands at a place of a section may have."""
+    """Return the keys that are allowed at a place of a section."""
     inside = [section]
     for key in place:
         named = [item.model_fields[str(key)] for item in inside if str(key) in item.model_fields]
-        # A position in a list, or the kind of a section among several, leads no deeper.
+        # A position in a list, or a choice among several sections, has no keys of its own.
         inside = [kind for field in named for kind in _sections(field.annotation)] or inside
     return list(dict.fromkeys(key for kind in inside for key in kind.model_fields))
 
 
 def _sections(annotation: Any) -> Iterator[type[Section]]:
-    """The sections that a field's type is made of."""
+    """Return the sections within a field's type."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
     for inner in get_args(annotation):

@@ -1,1 +1,1 @@
-"""Kinds of responses that a model is compared with its test by, one a file."""
+"""Types of responses by which a model is compared with its test, one per file."""

@@ -8,9 +8,9 @@ the turn -i v Im(u^H v') / u^H v is the derivative of v; dx is that of the dampe
     [ T(s)     T'(s) x ] [ dx ]     [ dT x + ds T'(s) x ]
     [ (T'x)^T     0    ] [  0 ] = - [         0         ].
 
-Real parts are what shapes that are made real tell; imaginary parts are what damping that is not
-proportional makes. The variance of each is s^2 / n of n entries, with that of what the linear model
-cannot know, as of real shapes (`responses/shapes`).
+Real parts have the information of shapes made real; imaginary parts come from non-proportional
+damping. Each has the variance s^2 / n for n entries, and in addition that of the linear model's
+error, as for real shapes (`responses/shapes`).
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from modetune.core.updating.responses.response import (
 class ComplexShapes:
     """Complex shapes of a test.
 
-    shapes: (n_sensors, n_modes), of the test's modes; observe: the sensors in terms of the
-    matrices' equations, (n_sensors, n_equations). weights: by number of the modes; mac: the least
-    that e1 allows.
+    shapes: (n_sensors, n_modes), of the test's modes. observe: returns the sensors in terms of the
+    matrices' equations, (n_sensors, n_equations). weights: by the number of the mode. mac: the
+    minimum that e1 allows.
     """
 
     shapes: Complexes
@@ -93,7 +93,7 @@ class ComplexShapes:
         return all(1.0 - float(z @ z) >= self.mac for z, w in pairs if w.any())
 
     def _units(self, state: ModelState) -> list[tuple[Complexes, Complexes, complex]]:
-        """Of each pair u, v and what the model's shape was multiplied by. Raises ModesError."""
+        """Return u, v and the factor on the model's shape for each pair. Raises ModesError."""
         assert state.matrices is not None
         computed = self.observe(state.matrices.here) @ self.pairs.of(state).modes.shapes
         found = []
@@ -110,7 +110,7 @@ class ComplexShapes:
 
 
 def _shape_slopes(solved: SolvedPairs, row: int, columns: list[int]) -> Complexes:
-    """dx of a damped mode, (n, n_columns), of no part along itself."""
+    """Return dx of a damped mode, (n, n_columns), without a part along the mode."""
     system, s, x = solved.system, solved.modes.roots[row], solved.modes.shapes[:, row]
     beside = np.asarray(2.0 * s * (system.mass @ x) + system.viscous @ x)
     whole = system.complex_stiffness + s * system.viscous + s**2 * system.mass

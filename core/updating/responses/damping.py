@@ -1,7 +1,7 @@
 """Modal damping ratios: z = zeta_m - zeta_c of each pair, zeta_c by the quadratic problem.
 
-Values and exact derivatives are those of `core/algebra/damped_modes`, from the real modes of K and
-M; a mode is the damped one that its real mode becomes (`core/updating/damped_pairs`).
+Values and exact derivatives come from `core/algebra/damped_modes`, which starts from the real modes
+of K and M; `core/updating/damped_pairs` follows each real mode to its damped mode.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from modetune.core.updating.responses.response import (
 class DampingRatios:
     """Modal damping ratios of the pairs.
 
-    weights: by number of the test's modes, 0 of those whose ratio is not above 0; deviation,
-    tolerance: of the measured ratio. covariance: (n_modes, n_modes), of the test's mean ratios;
-    (0, 0) where the deviation counts.
+    weights: by the number of the test's mode, 0 where its ratio is not above 0. deviation,
+    tolerance: relative to the measured ratio. covariance: (n_modes, n_modes), of the test's mean
+    ratios; (0, 0) where the deviation is used instead.
     """
 
     weights: Mapping[int, float]
@@ -65,7 +65,7 @@ class DampingRatios:
                 for root, changes in zip(roots, solved.slopes[:, columns], strict=True)
             ]
         ).reshape(-1, len(columns))
-        for root in roots:  # of repeated ones only the mean has derivatives of its own
+        for root in roots:  # of repeated modes only the mean has derivatives
             alike = np.abs(roots - root) <= ALIKE * abs(root)
             slopes[alike] = slopes[alike].mean(axis=0)
         return slopes

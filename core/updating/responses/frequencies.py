@@ -1,7 +1,7 @@
 """Frequencies: z = (lambda_m - lambda_c) / lambda_m of a pair, derivative d lambda_c / lambda_m.
 
-A relative frequency deviation s is 2 s of the eigenvalue. Where neither side splits the frequencies
-of a cluster (`core/correlation/clusters`), derivatives of their mean are compared.
+A relative frequency deviation s is 2 s of the eigenvalue. Where neither side separates the
+frequencies of a cluster (`core/correlation/clusters`), each has the derivative of their mean.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Frequencies:
         return self.slopes(state, derivatives.modes.eigenvalues)
 
     def slopes(self, state: ModelState, eigenvalues: Floats) -> Floats:
-        """The same from derivatives of the pairs' eigenvalues (n_pairs, n_columns)."""
+        """Return the sensitivity by derivatives of the pairs' eigenvalues (n_pairs, n_columns)."""
         slopes = eigenvalues / state.test.modes.eigenvalues[state.pairing.measured][:, None]
         for alike in _unsplit(state):
             slopes[alike] = slopes[alike].mean(axis=0)
@@ -56,7 +56,7 @@ class Frequencies:
 
 
 def _unsplit(state: ModelState) -> list[Integers]:
-    """Pairs whose frequencies neither side splits: only their mean has a slope."""
+    """Return pairs whose frequencies neither side separates: only their mean has a slope."""
     measured = state.pairing.measured
     test_hz = state.test.modes.frequencies_hz[measured]
     model_hz = state.seen.frequencies_hz[state.pairing.computed]

@@ -2,14 +2,14 @@
 
 The real part is the logarithm of the ratio of amplitudes, the imaginary one the difference of
 phases in (-pi, pi]. Values and exact derivatives, d log H_c = dH_c / H_c, are those of
-`core/updating/superposition`. Dampers and loss factors of the model count; where it has none modes
-have the damping of the test's that they are paired with. Ratios of their own, which may be
-parameters, take the place of the test's, or join the dampers.
+`core/updating/superposition`. Dampers and loss factors of the model damp its modes; without them a
+mode has the damping ratio of the test mode that it is paired with. Given ratios, which may be
+parameters, replace those of the test, or are added to the dampers.
 
-Of each part the variance is that of log H by the measurement (`core/measurement/frf_lines`) with
-the square of `deviation`, for what the model's damping lacks. A line that a resonance of the model
-still has to pass errs by a bounded z, as logarithms do, and keeps its variance: were it to count
-less, moving a resonance away from it would pay.
+Each part has the variance of log H by the measurement (`core/measurement/frf_lines`) and the square
+of `deviation`, for the error of the model's damping. A line that a resonance of the model still has
+to pass has a bounded z, as logarithms do, and keeps its variance: with a lower weight, moving a
+resonance away from it would reduce the misfit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from modetune.core.updating.responses.response import (
 )
 from modetune.core.updating.superposition import REACH, FrfModes, near
 
-#: What damps a model with matrices of these equations.
+#: Returns the damping of a model with matrices of these equations.
 Dampers = Callable[[MatrixResult], DampingModel]
 
 
@@ -47,9 +47,9 @@ Dampers = Callable[[MatrixResult], DampingModel]
 class FrfCurve:
     """A response function at its chosen frequencies.
 
-    name: what people call it; output, force: rows of the degrees of freedom; frequencies_hz:
-    (n_lines,); receptances: (n_lines,), in the deck's units; variances: (n_lines,), of log H by the
-    measurement, of amplitude and of phase each.
+    name: for people. output, force: rows of the degrees of freedom. frequencies_hz: (n_lines,).
+    receptances: (n_lines,), in the deck's units. variances: (n_lines,), of log H by the
+    measurement, both of amplitude and of phase.
     """
 
     name: str
@@ -62,7 +62,7 @@ class FrfCurve:
 
 @dataclass(frozen=True, slots=True)
 class DampedMatrices:
-    """The matrices of a set, and what damps a model of their equations; None where nothing does."""
+    """The matrices at parameter values, and the damping of their model, None where it has none."""
 
     given: MatricesAt
     dampers: DampingModel | None
@@ -91,10 +91,10 @@ class DampedMatrices:
 
 @dataclass(slots=True)
 class KnownFrfModes:
-    """What was found before, as values and derivatives are asked for one after the other.
+    """The latest results, since values and derivatives are requested one after the other.
 
-    full: modes of the newest set that was looked at in full; few: of the newest of these that
-    others were near to, a model of few unknowns and what sensors and forces see of them.
+    full: modes of the latest point that was solved in full. few: near such a point, a model of few
+    unknowns and the rows of sensors and forces on them.
     """
 
     full: tuple[DampedMatrices, FrfModes] | None = None
@@ -108,7 +108,7 @@ class KnownFrfModes:
         highest_hz: float,
         n_least: int,
     ) -> tuple[FrfModes, DampedMatrices]:
-        """Modes of a set without ratios, and the matrices that they are of."""
+        """Return modes without damping ratios, and their matrices."""
         around = given if given.around is None else replace(given, theta=given.around, around=None)
         if self.full is None or not self.full[0].given.same(around):
             like = self.full[1] if self.full and self.full[0].given.model is given.model else None
@@ -132,11 +132,11 @@ class KnownFrfModes:
 class Frf:
     """Response functions of a test.
 
-    observe: degrees of freedom in terms of the matrices' equations, (n_dofs, n_equations).
-    damping: ratios by number of the test's modes; others: of all modes that it does not name,
-    where None those of the test count, and of modes without a partner their median. frac: the
-    least that e1 allows. dampers: None where the model has none; else ratios of the test do not
-    count.
+    observe: returns the degrees of freedom in terms of the matrices' equations, (n_dofs,
+    n_equations). damping: ratios by the number of the test's mode. others: ratio of all other
+    modes; where None those of the test, and their median for modes without a partner. frac: the
+    minimum that e1 allows. dampers: None where the model has none; with dampers the ratios of the
+    test have no effect.
     """
 
     curves: tuple[FrfCurve, ...]
@@ -195,7 +195,7 @@ class Frf:
         return np.concatenate([getattr(curve, name) for curve in self.curves])
 
     def _computed(self, modes: FrfModes) -> Complexes:
-        """H at all lines. Raises ModesError where the model does not answer."""
+        """Return H at all lines. Raises ModesError where the model does not respond."""
         values = modes.receptance(*self._lines)
         still = np.flatnonzero(values == 0.0)
         if still.size:
@@ -205,7 +205,7 @@ class Frf:
         return values
 
     def _parts(self, values: Complexes) -> Floats:
-        """Of each function real parts and then imaginary ones."""
+        """Return for each function the real parts, then the imaginary ones."""
         ends = np.cumsum([curve.frequencies_hz.size for curve in self.curves])[:-1]
         parts = [part for own in np.split(values, ends) for part in (own.real, own.imag)]
         return np.concatenate(parts)
@@ -214,7 +214,7 @@ class Frf:
         return bool((fracs(part) >= self.frac).all()) or not part.weights.any()
 
     def _modes(self, state: ModelState) -> tuple[FrfModes, DampedMatrices]:
-        """Modes with their damping, and the matrices that they are of."""
+        """Return modes with their damping, and their matrices."""
         given = state.matrices
         if given is None:
             raise ModesError("response functions need the matrices of the model")
@@ -238,7 +238,9 @@ class Frf:
         number: Callable[[Linear], float],
         told: Floats | float,
     ) -> Floats:
-        """A number of each mode's ratio, (n_modes,); told: of those that stand in the test."""
+        """Return a number for the damping ratio of each mode, (n_modes,).
+
+        number: of a given ratio; told: of the ratios of the test."""
         of_test = np.full(len(state.test.numbers), told)
         rest = float(np.median(of_test))
         if self.others is not None:
@@ -253,7 +255,7 @@ class Frf:
 
 
 def fracs(part: Residual) -> Floats:
-    """FRAC of each function at its chosen frequencies, (n_curves,); part: the block's residual."""
+    """Return the FRAC of each function at its chosen lines, (n_curves,); part: one block."""
     (block,) = part.blocks
     found = np.zeros(block.sizes.size)
     ends = np.cumsum(block.sizes)[:-1]

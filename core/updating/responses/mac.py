@@ -1,4 +1,4 @@
-"""MAC as a response of its own: one number a pair, where the entries of shapes are too many.
+"""MAC as a response: one number per pair, where the entries of shapes are too many.
 
 With q = 1 - MAC of a pair at the common sensors (of a cluster of close modes the mean over its
 pairs of what lies outside the space of the test's shapes, which no rotation changes):
@@ -8,9 +8,9 @@ pairs of what lies outside the space of the test's shapes, which no rotation cha
   outside the test's, has no limit at a = 0, where it is taken to be zero.
 * `one_minus_mac`: z = -q, derivative 2 a^T da.
 
-A shape whose entries have the deviation s of its root mean square has sqrt(q) of about s and q of
-about s^2 by noise alone, which is their deviation unless another is given. As of shapes, a sine far
-from zero is linear in parameters to second order only: q^2 is added to its variance.
+A shape whose entries have the deviation s relative to its root mean square has by noise alone
+sqrt(q) of about s and q of about s^2; these are the default deviations. As for shapes, a sine far
+from zero is not linear in parameters, with an error of second order: q^2 is added to its variance.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ NO_ANGLE = 1e-9
 class Mac:
     """MAC of the pairs.
 
-    weights, deviations: by number of the test's modes, of those that have none of the shape's;
-    tolerance: e1's least MAC.
+    weights, deviations: by the number of the test's mode; without a deviation that of the shape is
+    used. tolerance: e1's minimum MAC.
     """
 
     weights: Mapping[int, float]

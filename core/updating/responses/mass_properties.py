@@ -1,15 +1,15 @@
 """Mass, centre of gravity and inertia of the model, as targets and as limits.
 
 With R the unit translations and rotations of the whole model at its equations, the mass of rigid
-motion M_r = R^T M R holds all of them (`core/correlation/mass_properties`), whether the structure
-is free or on springs, and R^T (dM/dtheta) R its derivatives; those of the ten quantities follow by
-a complex step, exact to rounding:
+motion M_r = R^T M R contains all of them (`core/correlation/mass_properties`), whether the
+structure is free or on springs. Its derivatives are R^T (dM/dtheta) R; those of the ten quantities
+follow by a complex step, exact to rounding:
 
     dq = Im q(M_r + i h dM_r) / h.
 
-Equations that a support holds are in no stored matrix, so what the model's mass has there is not
-counted. Values are in the deck's units; inertia is the tensor about the centre of gravity in global
-axes, so inertia_xy is minus the integral of x y dm.
+Equations that a support constrains are in no stored matrix, so mass there is not counted. Values
+are in the deck's units; inertia is the tensor about the centre of gravity in global axes, so
+inertia_xy is minus the integral of x y dm.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MassQuantity = Literal[
     "inertia_xy", "inertia_yz", "inertia_zx",
 ]  # fmt: skip
 MASS_QUANTITIES: tuple[MassQuantity, ...] = get_args(MassQuantity)
-#: Masses of three directions that differ more are those of a structure that is partly held.
+#: Masses in three directions differ by more where supports constrain a part of the structure.
 ONE_MASS = 1e-6
 #: A printed mass has at least four digits.
 PRINTED = 1e-3
@@ -47,13 +47,13 @@ HELD = (
     "supports hold the rest, and what they hold is in no stored matrix; free the structure (on "
     "soft springs, as the test was), or leave mass properties out"
 )
-#: Share of M_r in a complex step: its square is nothing beside one.
+#: Share of M_r in a complex step: its square vanishes next to one.
 COMPLEX_STEP = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
 class MassTarget:
-    """A quantity that was weighed: value, deviation, emphasis; and what no step leaves."""
+    """A measured mass property: value, deviation, emphasis, and limits that no step exceeds."""
 
     value: float
     deviation: float
@@ -63,10 +63,10 @@ class MassTarget:
 
 @dataclass(frozen=True, slots=True)
 class MassResponse:
-    """Mass properties beside their targets.
+    """Mass properties compared with their targets.
 
-    within: deviations that e1 allows; observe: degrees of freedom in terms of the matrices'
-    equations, where these are not the nodes' own.
+    within: deviations that e1 allows. observe: returns degrees of freedom in terms of the matrices'
+    equations, where these are not those of the nodes.
     """
 
     targets: Mapping[MassQuantity, MassTarget]
@@ -74,7 +74,7 @@ class MassResponse:
     observe: Observe | None = None
     kind: ClassVar[str] = "mass_properties"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
-    #: Of the newest set, as values and derivatives are asked for one after the other.
+    #: The latest result, since values and derivatives are requested one after the other.
     _newest: list[tuple[MatricesAt, RigidMotions]] = field(
         default_factory=list, repr=False, compare=False
     )
@@ -138,7 +138,7 @@ class MassResponse:
         return given, found
 
     def _of(self, rigid_mass: Floats) -> Floats:
-        """The asked quantities, (n,), complex where the mass is. Raises ModesError."""
+        """Return the targets' quantities, (n,), complex where the mass is. Raises ModesError."""
         masses = rigid_mass.diagonal()[:3]
         there = np.abs(masses) > 0.0
         if not there.any():

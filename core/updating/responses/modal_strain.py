@@ -6,8 +6,8 @@ have no scale of their own: alpha is the modal scale factor by a reference r, r_
     alpha = r_m^T r_c / r_c^T r_c,
     d alpha = (r_m^T d r_c - 2 alpha r_c^T d r_c) / r_c^T r_c,
 
-which is the displacement shape at the common sensors, where strains were measured in its scale, or
-the strains themselves, of which one value then goes into the scale.
+where the reference is the displacement shape at the common sensors, if strains were measured in its
+scale, or else the strains themselves, which then lose one value to the scale.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Gauge:
 class ModalStrain:
     """Strains of modes at gauges.
 
-    measured: by number of the test's modes, (n_gauges,); weight, deviation, tolerance: the last two
-    relative to the root mean square of the mode's strains.
+    measured: by the number of the test's mode, (n_gauges,). deviation, tolerance: relative to the
+    root mean square of the mode's strains.
     """
 
     gauges: tuple[Gauge, ...]
@@ -62,7 +62,7 @@ class ModalStrain:
         measured = self._measured(state) / sizes
         names = [f"strains of mode {number}" for number in self._numbers(state)]
         counts = np.full(sizes.size, len(self.gauges))
-        if self.scale == "shapes":  # each counts for itself
+        if self.scale == "shapes":  # each is an item
             numbers, counts = self._numbers(state), np.ones(measured.size, dtype=np.int64)
             names = [f"strain {gauge.name} of mode {n}" for n in numbers for gauge in self.gauges]
         return residual_of(
@@ -100,7 +100,7 @@ class ModalStrain:
         return bool((np.abs(part.of_used(self.kind, part.values)) <= self.tolerance).all())
 
     def _pairs(self, state: ModelState) -> Integers:
-        """Positions of the pairs whose strains were measured."""
+        """Return the positions of the pairs with measured strains."""
         return np.flatnonzero([number in self.measured for number in state.numbers])
 
     def _numbers(self, state: ModelState) -> list[int]:
@@ -112,7 +112,7 @@ class ModalStrain:
         return np.array(found).reshape(-1, len(self.gauges)).T
 
     def _rows(self, state: ModelState) -> Floats:
-        """The gauges' factors on the rows of the modes, (n_gauges, n_dof). Raises ModesError."""
+        """Return the gauges' factors on rows of the modes, (n_gauges, n_dof). Raises ModesError."""
         assert state.modal is not None
         modes = state.modal.modes
         dofs = zip(modes.nodes.tolist(), modes.components.tolist(), strict=True)
@@ -128,7 +128,7 @@ class ModalStrain:
         return rows
 
     def _reference(self, state: ModelState) -> tuple[Floats, Floats]:
-        """What tells the scale: measured and computed, (n, n_pairs) each."""
+        """Return the reference of the scale, measured and computed, (n, n_pairs) each."""
         pairs, pairing = self._pairs(state), state.pairing
         if self.scale == "shapes":
             ours, theirs = common_dofs(state.test.modes, state.seen)
@@ -139,8 +139,8 @@ class ModalStrain:
         return self._measured(state), computed[:, pairing.computed[pairs]]
 
     def _compared(self, state: ModelState) -> tuple[Floats, Floats, Floats]:
-        """Computed strains in the test's scale (n_gauges, n_pairs), the scale factors and the root
-        mean squares of the measured strains (n_pairs,). Raises ModesError."""
+        """Return computed strains in the test's scale (n_gauges, n_pairs), the scale factors, and
+        the root mean squares of the measured strains (n_pairs,). Raises ModesError."""
         assert state.modal is not None
         reference, computed = self._reference(state)
         sizes = np.sqrt(np.mean(self._measured(state) ** 2, axis=0))

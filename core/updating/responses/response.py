@@ -1,17 +1,17 @@
-"""The seam of responses: what a kind of response gives of a model state, and what it is given.
+"""The seam of responses: what a response type gets of a model, and what it returns.
 
-A response kind is one file of this folder. From the state of a model it makes a Residual of one
-block, measured minus computed, entry by entry with variances and weights, and the derivatives of
-the computed side. Residuals of kinds and of cases are put together by `stacked`.
+A response type is one file of this folder. From the state of a model it makes a Residual of one
+block, measured minus computed, each entry with its variance and weight, and the derivatives of the
+computed side. `stacked` joins the residuals of types and of cases.
 
-An item is what people call by one name (a frequency, a shape, a mass); its entries stand together.
-Errors of the entries are independent, unless the block has a `mixing` T: with the covariance C of
-its values, T C T^T is diagonal. Variances and weights are of T z, and
+An item has one name for people (a frequency, a shape, a mass); its entries are adjacent. Errors of
+the entries are independent, unless the block has a `mixing` T: with the covariance C of its values,
+T C T^T is diagonal. Variances and weights are those of T z, and
 
     z^T C^-1 z = (T z)^T diag(variances)^-1 (T z),
 
-so whatever weighs rows takes them by `Residual.independent`. Values, derivatives and predictions
-themselves stay those of the items.
+so code that weights rows takes them from `Residual.independent`. Values, derivatives and
+predictions are those of the items.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.weighting import Weighting
 
-#: What a response takes besides frequencies: shapes at the sensors and their derivatives; K, M and
-#: their derivatives; with them the stiffness of groups that have a loss factor.
+#: What a response needs besides frequencies: shapes at the sensors and their derivatives; K, M and
+#: their derivatives; in addition the stiffness of groups that have a loss factor.
 Need = Literal["shapes", "matrices", "losses"]
 
 
@@ -43,9 +43,9 @@ Need = Literal["shapes", "matrices", "losses"]
 class MatricesAt:
     """Stiffness and mass of a case at parameter values, and how they change there.
 
-    theta: (n_parameters,), the case's own parameters. groups: of losses, where a response needs
-    them and the model has them. around: (n_parameters,), a set that was looked at in full, where
-    values need be exact only there, with their slopes; else None.
+    theta: (n_parameters,), of the case's parameters. groups: of losses, where a response needs them
+    and the model has them. around: (n_parameters,), a point that was solved in full, where values
+    and their slopes need to be exact only there; else None.
     """
 
     model: ParameterMatrices
@@ -55,25 +55,25 @@ class MatricesAt:
 
     @property
     def here(self) -> MatrixResult:
-        """K and M, made anew each time: keep them where they are needed twice."""
+        """K and M, computed at each access: keep them where they are needed twice."""
         return self.model.at(self.theta)
 
     def same(self, other: MatricesAt) -> bool:
-        """Whether both are of one model and set."""
+        """Return whether both are of one model at the same values."""
         return self.model is other.model and np.array_equal(self.theta, other.theta)
 
     def change(self, column: int) -> tuple[sparse.csr_array, sparse.csr_array]:
-        """Upper triangles of dK/dtheta and dM/dtheta of a parameter, exact."""
+        """Return upper triangles of dK/dtheta and dM/dtheta of a parameter, exact."""
         return self.model.change(self.theta, column)
 
 
 @dataclass(frozen=True, slots=True)
 class ModelState:
-    """A model at parameter values beside the test of its case: what responses are computed from.
+    """A model at parameter values and the test of its case, from which responses are computed.
 
-    test, weighting: of the used modes; seen: the elastic modes as the test's sensors see them;
-    pairing: positions in both. modal: all modes, rigid ones too, at the nodes that were asked for;
-    matrices, mesh: where a response of the case needs matrices, else None.
+    test, weighting: of the used modes. seen: the elastic modes at the test's sensors. pairing:
+    positions in both. modal: all modes, also rigid ones, at the requested nodes. matrices, mesh:
+    where a response of the case needs matrices, else None.
     """
 
     test: MeasuredModes
@@ -92,7 +92,7 @@ class ModelState:
 
 @dataclass(frozen=True, slots=True)
 class StateDerivatives:
-    """Derivatives with respect to the parameters at `columns` (positions among the case's own).
+    """Derivatives with respect to the parameters at `columns` (positions among those of the case).
 
     modes: of the paired modes, in the order of the pairs, at the rows of `seen` (no rows where no
     response needs shapes). whole: the same at the rows of `modal`, where shapes are needed.
@@ -105,13 +105,13 @@ class StateDerivatives:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What the rows of one kind of response in one case are of.
+    """The items of the rows of one response type in one case.
 
-    names: of the items, for people; sizes: (n_items,), entries of each; scaled: whether scaling
-    takes one of an item's entries. measured: (n,), in the response's own unit, where people want
-    to see them (values are measured minus computed then), else empty. mixing: (n, n), see the
-    module's head; (0, 0) where errors are independent. limits: (n, 2), least and largest values
-    that a step may lead to; (0, 2) without.
+    names: of the items, for people. sizes: (n_items,), numbers of their entries. scaled: whether an
+    item loses one entry to its scale. measured: (n,), in the response's own unit, for reports
+    (values are then measured minus computed), else empty. mixing: (n, n), see the module's head;
+    (0, 0) where errors are independent. limits: (n, 2), least and largest values that a step may
+    lead to; (0, 2) without.
     """
 
     kind: str
@@ -132,9 +132,9 @@ class Block:
 class Residual:
     """Measured minus computed.
 
-    values: (n_residuals,), block by block; blocks of one kind stand together, frequencies first
-    and shapes next. weights: (n_residuals,), emphasis over variance; variances: (n_residuals,),
-    with what the linear model cannot know; noise: by the measurement alone.
+    values: (n_residuals,), block by block; blocks of one type are adjacent, frequencies first and
+    shapes next. weights: (n_residuals,), emphasis over variance. variances: (n_residuals,), with
+    the error of the linear model. noise: variances of the measurement.
     """
 
     values: Floats
@@ -145,20 +145,20 @@ class Residual:
 
     @property
     def misfit(self) -> float:
-        """The weighted sum of squares that updating brings down (thesis (40))."""
+        """The weighted sum of squares that updating minimises (thesis (40))."""
         values = self.independent(self.values)
         return float(values @ (self.weights * values))
 
     @property
     def n_independent(self) -> int:
-        """Values that count: of a scaled item one less than its entries."""
+        """Number of used values; a scaled item has one fewer than its entries."""
         used = self.weights > 0.0
         owners = self.owners(scaled=True)
         return int(used.sum()) - int(np.unique(owners[used & (owners >= 0)]).size)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What each row is of, (n_residuals,)."""
+        """The name of each row's item, (n_residuals,)."""
         return tuple(
             name
             for block in self.blocks
@@ -167,9 +167,9 @@ class Residual:
         )
 
     def owners(self, scaled: bool = False) -> Integers:
-        """Position among all items of the one that each row is of, (n_residuals,).
+        """Return the position of each row's item among all items, (n_residuals,).
 
-        scaled: -1 for rows of items that are not scaled.
+        scaled: -1 for rows of items without a scale.
         """
         sizes = np.concatenate([block.sizes for block in self.blocks] or [np.zeros(0, np.int64)])
         owners = np.repeat(np.arange(sizes.size), sizes)
@@ -178,7 +178,7 @@ class Residual:
         return owners
 
     def rows(self, kind: str) -> slice:
-        """The rows of a kind; of none an empty slice at the end."""
+        """Return the rows of a type; an empty slice at the end where there are none."""
         start = 0
         for block in self.blocks:
             if block.kind == kind:
@@ -187,12 +187,12 @@ class Residual:
         return slice(start, start)
 
     def has(self, kind: str) -> bool:
-        """Whether there are rows of a kind."""
+        """Return whether there are rows of a type."""
         rows = self.rows(kind)
         return bool(rows.stop > rows.start)
 
     def of_used(self, kind: str, values: Floats) -> Floats:
-        """What is there of the rows of a kind that have a weight; values: (n_rows_of_kind,)."""
+        """Return the values (n_rows_of_kind,) of a type in rows with a weight."""
         return values[self.weights[self.rows(kind)] > 0.0]
 
     @property
@@ -205,12 +205,12 @@ class Residual:
         )
 
     def independent(self, rows: Floats) -> Floats:
-        """Values (n_residuals,) or derivatives (n_residuals, k) in the combinations whose errors
-        are independent, which variances and weights are of."""
+        """Return values (n_residuals,) or derivatives (n_residuals, k) in combinations with
+        independent errors, to which variances and weights belong."""
         return self._mixed(rows, np.matmul)
 
     def of_items(self, rows: Floats) -> Floats:
-        """What `independent` was given, from what it gave."""
+        """Return the argument of `independent` from its result."""
         return self._mixed(rows, np.linalg.solve)
 
     def _mixed(self, rows: Floats, turn: Callable[[Floats, Floats], Floats]) -> Floats:
@@ -226,7 +226,7 @@ class Residual:
 
 
 class Response(Protocol):
-    """A kind of response as one case compares it, its deviations and weights with it."""
+    """A response type in one case, with its deviations and weights."""
 
     @property
     def kind(self) -> str:
@@ -237,15 +237,15 @@ class Response(Protocol):
     def needs(self) -> frozenset[Need]: ...
 
     def residual(self, state: ModelState) -> Residual:
-        """Measured minus computed, one block (`residual_of`). Raises ModesError."""
+        """Return measured minus computed, one block (`residual_of`). Raises ModesError."""
         ...
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
-        """Derivatives of the computed side, (n_residuals, n_columns)."""
+        """Return derivatives of the computed side, (n_residuals, n_columns)."""
         ...
 
     def agrees(self, part: Residual) -> bool:
-        """Whether e1 holds for its own block, or would where its values are predicted ones."""
+        """Return whether e1 holds for its block, whose values may be predicted ones."""
         ...
 
 
@@ -261,12 +261,12 @@ def residual_of(
     measured: Floats | None = None,
     limits: Floats | None = None,
 ) -> Residual:
-    """A residual of one block.
+    """Return a residual of one block.
 
-    names: (n_items,); sizes: (n_items,), one entry an item where None; emphasis: (n,), 0 leaves
-    out. noise: (n,), variances of the measurement, or (n, n), its covariance; unknown: (n,),
-    variances by what the linear model cannot know; limits: (n, 2), of the values. Raises
-    CampaignError for a covariance that is not positive definite.
+    names: (n_items,). sizes: (n_items,), one entry per item where None. emphasis: (n,), 0 leaves an
+    entry out. noise: (n,), variances of the measurement, or (n, n), its covariance. unknown: (n,),
+    variances of the linear model's error. limits: (n, 2), of the values. Raises CampaignError for a
+    covariance that is not positive definite.
     """
     mixing = np.zeros((0, 0))
     if noise.ndim == 2:
@@ -285,10 +285,10 @@ def residual_of(
 
 
 def decorrelation(covariance: Floats, used: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """T (n, n) and the variances (n,) of T z, where z has this covariance (n, n).
+    """Return T (n, n) and the variances (n,) of T z, where z has this covariance (n, n).
 
-    C = L D L^T with L of unit diagonal, T = L^-1: each entry less what those before it tell of it.
-    used: (n,); entries that are left out tell nothing of the others. Raises CampaignError.
+    C = L D L^T with L of unit diagonal, T = L^-1: each entry less its regression on earlier ones.
+    used: (n,); entries that are left out have no effect on the others. Raises CampaignError.
     """
     kept = np.where(np.outer(used, used) | np.eye(used.size, dtype=bool), covariance, 0.0)
     try:
@@ -301,7 +301,7 @@ def decorrelation(covariance: Floats, used: NDArray[np.bool_]) -> tuple[Floats, 
 
 
 def stacked(parts: Sequence[Sequence[Residual]]) -> Residual:
-    """The residual of several cases; parts: of each case those of its kinds, one block each."""
+    """Return the residual of several cases; parts: by case and type, one block each."""
     chosen = [parts[case][place] for case, place in _order(parts)]
 
     def together(name: str) -> Floats:
@@ -317,7 +317,7 @@ def stacked(parts: Sequence[Sequence[Residual]]) -> Residual:
 
 
 def stacked_rows(parts: Sequence[Residual]) -> list[Integers]:
-    """Of each case's residual, of any blocks, the rows that it has in the stacked one."""
+    """Return the rows of each case's residual in the stacked one."""
     split = [block_parts(part) for part in parts]
     found: list[list[Integers]] = [[np.zeros(0, np.int64)] * len(own) for own in split]
     start = 0
@@ -329,7 +329,7 @@ def stacked_rows(parts: Sequence[Residual]) -> list[Integers]:
 
 
 def block_parts(found: Residual) -> list[Residual]:
-    """A residual taken apart into its blocks."""
+    """Return the residual of each block."""
     parts: list[Residual] = []
     start = 0
     for block in found.blocks:
@@ -341,7 +341,7 @@ def block_parts(found: Residual) -> list[Residual]:
 
 
 def _order(parts: Sequence[Sequence[Residual]]) -> list[tuple[int, int]]:
-    """Case and place of each part, kind after kind and in each the cases in turn."""
+    """Return case and place of each part, ordered by type, then by case."""
     kinds = dict.fromkeys(block.kind for own in parts for part in own for block in part.blocks)
     return [
         (case, place)
@@ -353,5 +353,5 @@ def _order(parts: Sequence[Sequence[Residual]]) -> list[tuple[int, int]]:
 
 
 def with_values(part: Residual, values: Floats) -> Residual:
-    """The same with other values, as predicted ones."""
+    """Return a residual with other values, such as predicted ones."""
     return replace(part, values=values)

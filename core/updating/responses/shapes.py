@@ -10,15 +10,15 @@ projector on the space of their measured shapes, u_c u_c^T that on the space of 
 unit shape one of the cluster's root mean square length; so no rotation inside it changes the
 squared length of z.
 
-A shape deviation s relative to the shape's root mean square is s / sqrt(n) of an entry of a unit
-shape with n entries. To it comes what the linear model of the shape cannot know: its error is of
-second order in the shape's difference, whose square is 1 - MAC, so a shape far from the test (modes
-that mix) counts little until it has come near:
+A shape deviation s relative to the shape's root mean square is s / sqrt(n) for an entry of a unit
+shape with n entries. The error of the linear model of the shape is added: it is of second order in
+the shape's difference, whose square is 1 - MAC, so a shape far from the test (modes that mix) has
+little weight until it is near:
 
     variance of an entry = (s^2 + (1 - MAC)^2) / n.
 
-Where sensors have weights of their own, both shapes are scaled by them first (`weighting`), and
-unit length and MAC are those of the scaled shapes.
+Where sensors have weights, both shapes are scaled by them first (`weighting`), and unit length and
+MAC are those of the scaled shapes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from modetune.core.updating.responses.response import (
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Differences of paired shapes; tolerance: e1's least MAC."""
+    """Differences of paired shapes; tolerance: e1's minimum MAC."""
 
     tolerance: float = 0.0
     kind: ClassVar[str] = "shapes"
@@ -88,10 +88,10 @@ class Shapes:
 class PairedCluster:
     """Shapes of the pairs of one cluster at the common sensors, scaled by their weights.
 
-    pairs: (n,), positions; test, space: (n_sensors, k), orthonormal, of the measured shapes and of
-    the model's with all that are close to them; model: (n_sensors, n), the model's shapes in the
-    measured sign, of unit root mean square length; scales: (n_sensors, n), what they were
-    multiplied by for that.
+    pairs: (n,), positions. test, space: (n_sensors, k), orthonormal bases of the measured shapes
+    and of the model's shapes with their close neighbours. model: (n_sensors, n), the model's shapes
+    in the measured sign, of unit root mean square length. scales: (n_sensors, n), the factors that
+    give them this length.
     """
 
     pairs: Integers
@@ -102,11 +102,11 @@ class PairedCluster:
 
     @property
     def away(self) -> Floats:
-        """The model's shapes less what lies in the space of the test's, (n_sensors, n)."""
+        """The part of the model's shapes outside the space of the test's, (n_sensors, n)."""
         return np.asarray(self.model - self.test @ (self.test.T @ self.model))
 
     def change(self, changes: Floats) -> Floats:
-        """Derivatives of `away`, (n_sensors, n, k); changes: of all pairs' shapes."""
+        """Return derivatives of `away`, (n_sensors, n, k); changes: of all pairs' shapes."""
         change = changes[:, self.pairs] * self.scales[:, :, None]
         for space in (self.space, self.test):
             change = change - np.tensordot(space, np.tensordot(space.T, change, axes=1), axes=1)
@@ -114,7 +114,7 @@ class PairedCluster:
 
 
 def clusters(state: ModelState) -> list[PairedCluster]:
-    """The clusters of the pairs."""
+    """Return the clusters of the pairs."""
     pairing, weighting = state.pairing, state.weighting
     rows_m, rows_c = common_dofs(state.test.modes, state.seen)
     sensors = weighting.sensor_scales(rows_m)[0][:, None]
@@ -126,7 +126,7 @@ def clusters(state: ModelState) -> list[PairedCluster]:
     ):
         own, wanted = model[:, pairing.computed[pairs]], test[:, pairing.measured[pairs]]
         near = with_neighbours(state.seen.frequencies_hz, pairing.computed[pairs])
-        # A solver's sign means nothing.
+        # The sign of a solver's shape is arbitrary.
         signs = np.where(np.sum(own * wanted, axis=0) < 0.0, -1.0, 1.0)
         factors = signs / np.sqrt(np.mean(np.sum(own**2, axis=0)))
         spaces = _space(wanted), _space(model[:, near])
@@ -135,7 +135,7 @@ def clusters(state: ModelState) -> list[PairedCluster]:
 
 
 def _space(shapes: Floats) -> Floats:
-    """An orthonormal basis (n_sensors, k) of the space of shapes of any scale."""
+    """Return an orthonormal basis (n_sensors, k) of shapes of any scale."""
     lengths = np.linalg.norm(shapes, axis=0)
     left, values, _ = np.linalg.svd(
         shapes / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False

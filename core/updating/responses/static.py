@@ -1,9 +1,9 @@
 """Static displacements and strains under load cases: z = y_m - y_c, by K(theta) u = f.
 
-Values and exact derivatives are those of `core/updating/static`. Under forces and pressure
-stiffness alone decides them, so beside frequencies they tell stiffness from mass. Forces of a deck
-that follow its masses are read from it at each set; they are sums of products of few of its numbers
-(density, thickness), of which central differences are exact up to squares.
+Values and exact derivatives come from `core/updating/static`. Under forces and pressure they depend
+only on stiffness, so together with frequencies they separate stiffness from mass. Forces of a deck
+that follow its masses are read from it at each point; they are sums of products of few of its
+numbers (density, thickness), for which central differences are exact up to squares.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from modetune.core.updating.responses.response import (
 from modetune.core.updating.rigid_motions import Observe
 from modetune.core.updating.static import LoadCase, Reading, StaticModel
 
-#: Relative step of the differences: of a cubic they err by its square, by rounding 1e-12.
+#: Relative step of the differences: their error is its square for a cubic, 1e-12 by rounding.
 STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Static:
-    """What was measured under the load cases of a test.
+    """The measured values under the load cases of a test.
 
-    loads: the load cases at a set of the case's parameters; observe: degrees of freedom in terms
-    of the matrices' equations.
+    loads: returns the load cases at values of the case's parameters. observe: returns degrees of
+    freedom in terms of the matrices' equations.
     """
 
     readings: tuple[Reading, ...]
@@ -44,7 +44,7 @@ class Static:
     observe: Observe
     kind: ClassVar[str] = "static"
     needs: ClassVar[frozenset[Need]] = frozenset({"matrices"})
-    #: Of the newest set, as values and derivatives are asked for one after the other.
+    #: The latest result, since values and derivatives are requested one after the other.
     _newest: list[tuple[MatricesAt, Floats, Floats]] = field(
         default_factory=list, repr=False, compare=False
     )
