@@ -16,6 +16,8 @@ import signal
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,6 +27,7 @@ from tests.flows.updating.test_same_bits import LONG, SHORT
 from tests.flows.updating.test_stored_matrices import OWN, STORED, written
 
 from modetune.flows.cli.main import main as modetune
+from modetune.flows.jobs.prefect_server import HOME_VARIABLE, shared_server, stop_server
 
 #: In the environment of every process of one benchmark.
 MARK = "MODETUNE_KILLS_MARK"
@@ -48,6 +51,8 @@ class Command:
 
 DIFFERENCES = ("--set", "sensitivity.method=finite_difference")
 UPDATE = ("update", "part.yaml", "--no-prefect", "--json", "--set", SHORT)
+#: As a flow of Prefect's, on a server that no blow hits.
+FLOW = tuple(word for word in UPDATE if word != "--no-prefect")
 SCREEN = ("screen", "part.yaml", "--no-prefect", "--json", "--method", "lhs", "--points", "20")
 SAMPLE = (
     *(
@@ -68,6 +73,7 @@ SAMPLE = (
 KINDS: dict[str, tuple[Command, ...]] = {
     "matrices": (Command((*UPDATE, "--set", STORED), "campaign.h5"),),
     "solver": (Command((*UPDATE, "--set", OWN, *DIFFERENCES), "campaign.h5"),),
+    "flow": (Command((*FLOW, "--set", OWN, *DIFFERENCES), "campaign.h5"),),
     "screening": tuple(Command((*SCREEN, "--set", way), "screening.h5") for way in (STORED, OWN)),
     "sampling": tuple(Command((*SAMPLE, "--set", way), "posterior.h5") for way in (STORED, OWN)),
 }
@@ -110,11 +116,27 @@ class Field:
         self.environment = {
             MARK: str(folder),
             "MODETUNE_CCX": str(program),
-            "MODETUNE_HOME": str(folder / "home"),
+            HOME_VARIABLE: str(folder / "home"),
         }
 
     def kill(self, kind: str, count: int) -> Found:
         """Kill campaigns of a kind so many times."""
+        with self._served() if kind == "flow" else nullcontext():
+            return self._killed(kind, count)
+
+    @contextmanager
+    def _served(self) -> Iterator[None]:
+        """A server that campaigns share; it lacks their mark, and so is no orphan of theirs."""
+        os.environ[HOME_VARIABLE] = self.environment[HOME_VARIABLE]
+        server = shared_server()
+        try:
+            assert server.wait() == "ready", f"no server; its log is in {server.home}"
+            yield
+        finally:
+            server.close()
+            stop_server(server.home)
+
+    def _killed(self, kind: str, count: int) -> Found:
         found = Found()
         wholes = [self._undisturbed(kind, turn, found) for turn in range(len(KINDS[kind]))]
         while sum(found.blows.values()) < count:

@@ -1,4 +1,4 @@
-"""Processes killed under campaigns: by matrices, by the solver, in studies, and deployed ones.
+"""Processes killed under campaigns: by matrices, by the solver, as flows, in studies, deployed.
 
 Campaigns, screenings and samplings are killed at random moments and run again
 (`benchmarks/killed_campaigns`). Deployed ones go in rounds: each starts a worker and a run that is
@@ -7,8 +7,8 @@ to have crashed within a minute, its slot be free, the next run that is due star
 its end. Where the server alone is killed, the run itself must come to its end. The first round that
 does not hold ends the benchmark.
 
-    python -m benchmarks.kills [--matrices 100] [--solver 100] [--screening 50] [--sampling 50]
-                               [--rounds 20] [--seed 1]
+    python -m benchmarks.kills [--matrices 100] [--solver 100] [--flow 50] [--screening 50]
+                               [--sampling 50] [--rounds 20] [--seed 1]
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BLOWS = {
 
 
 #: Kills of each kind unless told.
-COUNTS = {"matrices": 100, "solver": 100, "screening": 50, "sampling": 50}
+COUNTS = {"matrices": 100, "solver": 100, "flow": 50, "screening": 50, "sampling": 50}
 
 
 def main() -> None:
