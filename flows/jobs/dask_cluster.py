@@ -179,17 +179,20 @@ def dask_runner(section: DaskSection, threads: int, parallel: int) -> Iterator[D
 
 
 def _local(section: DaskSection, distributed: Any) -> Any:
-    return distributed.LocalCluster(
-        n_workers=section.workers,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",  # pages on loopback, on any free port
-        security=True,
-        silence_logs=logging.CRITICAL,
-        memory_limit=0,  # solvers have processes of their own, which Dask does not see
-        local_directory=str(_scratch()),
-    )
+    # By default Dask sets the threads of BLAS to one, in this process too: its algebra would be
+    # slower than without Dask, and its results would differ in the last bits.
+    with import_module("dask").config.set({"distributed.nanny.pre-spawn-environ": {}}):
+        return distributed.LocalCluster(
+            n_workers=section.workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # pages on loopback, on any free port
+            security=True,
+            silence_logs=logging.CRITICAL,
+            memory_limit=0,  # solvers have processes of their own, which Dask does not see
+            local_directory=str(_scratch()),
+        )
 
 
 def _queued(section: DaskSection, threads: int) -> Any:

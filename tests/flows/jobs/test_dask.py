@@ -26,6 +26,7 @@ from modetune.core.errors import (
 )
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.site import DaskSection
 from modetune.flows.jobs import dask_cluster, execution
 from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result, workers_apart
@@ -163,6 +164,17 @@ def test_matrix_jobs_of_parameters_that_share_no_node_are_one_on_dask_too(
     assert record.status == "converged"
     # The model, and two jobs of springs that share no mass.
     assert bench.runs("matrices") == record.runs.sensitivity == 3
+
+
+def test_a_cluster_leaves_the_threads_of_algebra_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other threads here or in a worker would change the last bits of results."""
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "undone after the test")
+        monkeypatch.delenv(name)
+    with dask_cluster.dask_runner(DaskSection(workers=1), 1, 1) as runner:
+        (found,) = runner.client.run(lambda: dict(os.environ)).values()
+    assert not set(names) & {*os.environ, *found}
 
 
 def test_what_the_store_has_needs_no_worker(
