@@ -80,15 +80,16 @@ class RunPage:
 
     def log(self, text: str, level: int = logging.INFO) -> None:
         """Show a line in the log of the run."""
-        self._waiting.put(
-            {
-                "name": "modetune",
-                "level": level,
-                "message": text,
-                "timestamp": datetime.now(UTC).isoformat(),
-                "flow_run_id": self.run,
-            }
-        )
+        self._waiting.put(self._line(text, level))
+
+    def _line(self, text: str, level: int) -> dict[str, Any]:
+        return {
+            "name": "modetune",
+            "level": level,
+            "message": text,
+            "timestamp": datetime.now(UTC).isoformat(),
+            "flow_run_id": self.run,
+        }
 
     def sheet(self, sheet: Sheet) -> None:
         """Show a table, a text or a number; a later one of the same key replaces it."""
@@ -113,7 +114,19 @@ class RunPage:
             self._send()
             self._over.wait(min(0.5, LOOK_S))
         self._send()
-        self._silent = self.client.answer(END_S) != "ready"
+        self._silent = not self._takes_the_end()
+
+    def _takes_the_end(self) -> bool:
+        """Return whether the server answers and writes to its database, which may be locked."""
+        if self.client.answer(END_S) != "ready":
+            return False
+        try:
+            self.client.post(
+                "/logs/", [self._line("the study has ended", logging.DEBUG)], REQUEST_S
+            )
+        except ServerRefused:
+            return False
+        return True
 
     def _asked(self, request: Callable[[], Any]) -> Any:
         """The answer to a request; None where the server gives none."""

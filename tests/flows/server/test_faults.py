@@ -18,11 +18,14 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 
 from modetune.flows.jobs import prefect_server as process
+from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.server.run import LOST, carried_out
+from modetune.flows.server.run_page import RunPage
 from modetune.flows.studies.catalogue import find_study
 from tests.eventually import eventually
 from tests.flows.conftest import Bench, Watcher
@@ -186,6 +189,13 @@ def test_what_answers_in_a_servers_place_changes_no_result(
     check_same(end, plain)
     assert end.remark.startswith(("run without Prefect: ", LOST))
     assert wall_s - plain_s < LATER_S
+
+
+def test_a_server_that_answers_but_writes_nothing_does_not_get_the_end_of_a_run() -> None:
+    """Its database is locked or full; Prefect would try for long to write the final state."""
+    with listening(breaks("503 Service Unavailable")) as url:
+        page = RunPage(ServerClient(url), uuid4(), lambda: None, own_process=False)
+        assert not page.finish()
 
 
 def test_a_login_that_is_asked_for_is_named_with_its_remedy(
