@@ -60,7 +60,7 @@ class Handed:
 
     opened: the campaign, loaded already. own_process: whether the process is the run's alone.
     state: that the run ends in, whether or not the server receives it. lost: whether the server
-    was gone when the body ended.
+    was gone when the body ended. interrupted: whether a signal ended the study, and not its page.
     """
 
     progress: Progress
@@ -71,6 +71,7 @@ class Handed:
     error: BaseException | None = None
     state: State[Any] | None = None
     lost: bool = False
+    interrupted: bool = False
 
     def outcome(self) -> StudyResult:
         """The end of the study. Raises what ended it."""
@@ -131,7 +132,10 @@ _around: ContextVar[TaskRunner[Any] | None] = ContextVar("around", default=None)
 
 
 class StudyFlow(Flow[..., Any]):
-    """The flow of a study; inside another flow it runs on that one's task runner."""
+    """The flow of a study; inside another flow it runs on that one's task runner.
+
+    Raises KeyboardInterrupt where Ctrl-C or SIGTERM ended the study.
+    """
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to Dask workers by name, as part of the context of a task."""
@@ -144,10 +148,14 @@ class StudyFlow(Flow[..., Any]):
         options = {
             key: str(value) if isinstance(value, Path) else value for key, value in named.items()
         }
+        handed = _handed.get() or Handed(Unwatched())
         try:
-            return super().__call__(*paths, **options)
+            with handing(handed):
+                return super().__call__(*paths, **options)
         finally:
             _around.reset(token)
+            if handed.interrupted:  # the flow that calls this one ends too
+                raise KeyboardInterrupt
 
 
 @cache
@@ -194,7 +202,8 @@ def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[
         cancel()
         handed.error = KeyboardInterrupt()
         handed.error.__cause__ = error
-        where = "cancelled on its page" if page.cancelled else "stopped by the user"
+        handed.interrupted = not page.cancelled
+        where = "stopped by the user" if handed.interrupted else "cancelled on its page"
         state = Cancelled(message=where)
     except CampaignRunning as error:
         handed.error = error

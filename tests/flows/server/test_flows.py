@@ -181,6 +181,35 @@ def test_a_study_inside_a_users_flow_uses_its_runner(
     assert {task["name"] for task in served.tasks(run["id"])} >= set(begun)
 
 
+def test_ctrl_c_in_a_study_ends_the_users_flow_too(served: Served) -> None:
+    from prefect import flow
+
+    from modetune.flows.jobs.prefect_server import use_server
+    from modetune.flows.server.flows import Handed, handing, update
+    from modetune.flows.server.prefect_client import prefect_client
+
+    class Interrupting(Watcher):
+        def working(self, text: str) -> None:
+            raise KeyboardInterrupt
+
+    reached: list[str] = []
+
+    @flow
+    def nightly() -> None:
+        reached.append("update")
+        update("campaign.yaml", return_state=True)
+        reached.append("next")
+
+    server = use_server(start=False)
+    assert server is not None
+    with closing(server), prefect_client(server.settings()), handing(Handed(Interrupting())):
+        with pytest.raises(KeyboardInterrupt):
+            nightly()
+    assert reached == ["update"]
+    run = next(run for run in served.runs() if run["state"]["message"] == "stopped by the user")
+    assert run["state_type"] == "CANCELLED"
+
+
 def test_workers_of_a_dask_cluster_run_the_same_tasks(
     served: Served, tmp_path: Path, server_base: Path
 ) -> None:
