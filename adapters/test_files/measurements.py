@@ -140,9 +140,12 @@ def inspect_files(
 def read_computed(path: Path) -> ModeSet:
     """Read all modes that a program wrote, with rotations. Raises CampaignError."""
     kind = _readable_kind(path)
-    if read_modes := _format(kind.form).read_modes:
+    if kind.form in TABLES:
+        modes = _read_tables(path, kind, computed=True).modes
+    elif read_modes := _format(kind.form).read_modes:
         return read_modes(path, kind)
-    modes = read_measurement([path]).modes
+    else:
+        modes = read_measurement([path]).modes
     if modes is None:
         raise CampaignError("it has points or response functions, and no modes")
     return modes.modes
@@ -206,7 +209,7 @@ def write_test(path: Path, test: Measurement, comments: Sequence[str] = ()) -> l
 def _format(form: Form) -> Format:
     """Return the format of a form that can be read; its module is imported at first use."""
     if form in TABLES:
-        return Format(_read_tables, read_modes=_table_modes, read_histories=_table_histories)
+        return Format(_read_tables, read_histories=_table_histories)
     found: Format = import_module(f"{__package__}.{FORMATS[form]}").FORMAT
     return found
 
@@ -217,10 +220,9 @@ def _readable_kind(path: Path) -> FileKind:
     Raises CampaignError with a description of the file where nothing reads it.
     """
     kind, meant = kind_of(path), SUFFIXES.get(path.suffix.lower())
-    if kind.form == "unknown" and meant in ("universal", "hdf5"):
+    open_form = kind.form == "unknown" or (kind.form == "table" and meant == "universal")
+    if open_form and meant in ("universal", "hdf5"):
         kind = FileKind(meant, kind.description)  # its reader reports what is wrong
-    elif kind.form == "table" and meant == "universal":
-        kind = FileKind(meant, kind.description)
     if kind.form not in FORMATS and kind.form not in TABLES:
         remedy = kind.remedy or NUMBERS
         raise CampaignError(f"{path} is {kind.description}, not a test that can be read; {remedy}")
@@ -249,13 +251,6 @@ def _read_tables(path: Path, kind: FileKind, computed: bool = False) -> Measurem
     merged = _merged([(table.name, _of_table(table, computed)) for table in wanted])
     over = tuple(f"{table.name} is passed over" for table in tables if table not in wanted)
     return replace(merged, notes=merged.notes + over)
-
-
-def _table_modes(path: Path, kind: FileKind) -> ModeSet:
-    modes = _read_tables(path, kind, computed=True).modes
-    if modes is None:
-        raise CampaignError("it has points or response functions, and no modes")
-    return modes.modes
 
 
 def _table_histories(path: Path, notes: list[str]) -> list[TimeHistories]:
