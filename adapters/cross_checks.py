@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 #: Largest ratio of twice the energy to the eigenvalue: element energies come from stresses, with
 #: their own rounding and sampling.

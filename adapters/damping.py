@@ -21,7 +21,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.modes import dof_name
 from modetune.core.parameters import DAMPING, Parameter, TargetKind, driven_by
-from modetune.core.updating.damping import Damper, DampingKind, DampingModel, Linear, Loss
+from modetune.core.updating.damping_model import Damper, DampingKind, DampingModel, Linear, Loss
 
 #: What moves nothing of stiffness and mass.
 NOTHING = AffectedElements(frozenset(), frozenset(), False, False, (1,), False)

@@ -26,7 +26,7 @@ import logging
 import numpy as np
 
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats
 
 

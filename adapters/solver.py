@@ -17,17 +17,18 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 
 from modetune.adapters.deck_numbers import Number, refusals
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, TargetKind, Values
 from modetune.core.storage.keys import Json
-from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.damping_model import DampingModel
+from modetune.core.updating.job_results import ModalResult, Result
 from modetune.core.updating.observation import Observation, nothing_known
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
-from modetune.core.updating.static import LoadCase
+from modetune.core.updating.static_model import LoadCase
 
 R = TypeVar("R", bound=Result)
 

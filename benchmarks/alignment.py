@@ -26,9 +26,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from modetune.configs.garteur.shell import shell_model
-from modetune.core.measurement.alignment import Registration
 from modetune.core.measurement.closest_points import SurfacePoints
-from modetune.core.measurement.registration import register
+from modetune.core.measurement.registration import Registration, register
 from modetune.core.mesh import CellKind, Cells, Mesh
 from modetune.core.modes import Floats, Integers
 from modetune.core.surface import facets

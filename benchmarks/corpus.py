@@ -41,7 +41,7 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 #: Modes asked for; fewer where the model has fewer.
 MODES = (10, 6, 4, 2, 1)

@@ -40,10 +40,10 @@ from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.correlation.pairing import LostMode
 from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, ModeSet, close_sets
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.observation import observe
-from modetune.core.updating.reduced_basis import reduce, unreduced
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.reduced_model import reduce, unreduced
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import Execution

@@ -42,10 +42,10 @@ from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
-from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
+    differences,
     parameter_matrices,
 )
 

@@ -40,7 +40,7 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, Command, ModalAnalysis, Solver
 from modetune.core.parameters import Values
 from modetune.core.storage.store import Store
-from modetune.core.updating.results import Result
+from modetune.core.updating.job_results import Result
 from modetune.flows.campaign.site import DaskSection
 from modetune.flows.jobs.dask_cluster import dask_runner
 from modetune.flows.jobs.engine import JobEngine

@@ -22,8 +22,9 @@ from benchmarks.problem import Agreement, Problem
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import LOG, run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 
 #: More modes are asked for where they are paired by shape and may change places.
 SPARE_MODES = 2

@@ -29,7 +29,7 @@ from benchmarks.ways import (
     told,
 )
 
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 
 #: A case of problem.py at a size of it.
 Place = tuple[str, str]

@@ -29,9 +29,9 @@ import numpy as np
 
 from modetune.core.modes import mode_set
 from modetune.core.storage.keys import canonical_json, content_key
-from modetune.core.storage.seal import BLOCK, _block, read_head
+from modetune.core.storage.sealed_file import BLOCK, _block, read_head
 from modetune.core.storage.store import TITLE, Entry, Store
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.jobs.explain import AskedJob, asked_of
 from modetune.flows.jobs.job import JobNote
 from modetune.flows.jobs.store_index import Chosen, StoreIndex, ask_index

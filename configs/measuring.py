@@ -14,11 +14,11 @@ import numpy as np
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 #: A run that takes longer has failed.
 TIMEOUT_S = 3600.0

@@ -39,7 +39,7 @@ from modetune.flows.updating.forecast import Progress, Unwatched
 from modetune.flows.updating.record import CampaignRun, read_run
 
 if TYPE_CHECKING:
-    from modetune.core.updating.results import ModalResult
+    from modetune.core.updating.job_results import ModalResult
     from modetune.flows.studies.check.pre_check import PreCheckReport
     from modetune.flows.studies.correlate.correlation import Correlation
     from modetune.flows.studies.correlate.request import MassReduction

@@ -49,7 +49,7 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModelError, ModetuneError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.parameters import Parameter
-from modetune.core.storage.record_file import read_record, write_record
+from modetune.core.storage.campaign_record import read_record, write_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.site import SITE_VARIABLE, site_run

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import Integers
 
 

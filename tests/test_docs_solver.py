@@ -19,7 +19,7 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.core.errors import CampaignError, ModelError, NoResult, SolverCrashed, SolverRejected
 from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import canonical_json
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign import solvers
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.forecast import Unwatched

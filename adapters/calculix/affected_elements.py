@@ -25,7 +25,7 @@ from modetune.adapters.solver import AffectedElements
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.core.updating.matrix_samples import with_tied
+from modetune.core.updating.parameter_matrices import with_tied
 
 #: Powers by which constants of an anisotropic material may follow a value: those of a translated
 #: shell have membrane, coupling and bending in them.

@@ -31,7 +31,7 @@ import numpy as np
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 SELECT = "*SELECT CYCLIC SYMMETRY MODES"
 #: Eigenvalues are printed with seven digits, and ARPACK finds equal ones to about these.

@@ -30,7 +30,7 @@ from modetune.core.element_geometry import FACES, OF_CELLS, SHAPES, Points, face
 from modetune.core.errors import ModelError
 from modetune.core.mesh import CORNERS, Cells, Mesh
 from modetune.core.modes import Floats
-from modetune.core.updating.static import LoadCase
+from modetune.core.updating.static_model import LoadCase
 
 #: What a load case cannot have here: other loads and supports than the matrices' own.
 OTHER_LOADS = (

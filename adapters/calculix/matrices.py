@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.adapters.regular_file import open_regular, read_regular
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import NoResult
-from modetune.core.updating.results import MatrixResult
 
 #: Bytes parsed at once; polars is no faster with more.
 PIECE = 16 << 20

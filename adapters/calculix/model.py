@@ -21,15 +21,15 @@ from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Target
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import DAMPING, Parameter, TargetKind, Values, assigned, driven_by
-from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation
-from modetune.core.updating.results import MatrixResult
-from modetune.core.updating.static import LoadCase
+from modetune.core.updating.static_model import LoadCase
 
 #: Items of Young's moduli of engineering constants.
 DIRECTIONS = (1, 2, 3)

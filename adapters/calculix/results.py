@@ -20,7 +20,7 @@ from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModesError, NoResult
 from modetune.core.modes import Floats, Integers, mode_set
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 #: Columns are printed to seven digits, so each is off by 5e-7 of its value at most; an eigenvalue
 #: and the square of its frequency by three times that.

@@ -51,7 +51,7 @@ from modetune.core.errors import (
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import Result
+from modetune.core.updating.job_results import Result
 
 logger = logging.getLogger(__name__)
 

@@ -41,7 +41,7 @@ from modetune.core.modes import ModeSet, Normalisation, dof_name, mode_set
 from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 #: What a version looks like in what a program prints of itself.
 VERSION = re.compile(r"\b\d+(?:\.\w+)+")

@@ -40,14 +40,14 @@ from modetune.adapters.matrices.model import MATRIX_KINDS, Factors, MatrixModel,
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import Deck, ModelSummary
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import COMPONENTS, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity, Values, assigned
 from modetune.core.storage.files import storage_errors, writing
-from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation, observe
-from modetune.core.updating.results import MatrixResult
 
 SYSTEM_KEYS = {"masses", "springs", "dampers"}
 MATRIX_KEYS = {"stiffness", "mass", "dofs", "parts"}

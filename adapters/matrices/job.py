@@ -32,7 +32,7 @@ from modetune.adapters.regular_file import open_regular
 from modetune.adapters.solver import Analysis, ModalAnalysis
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
-from modetune.core.algebra.matrices import upper_triangle
+from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
 from modetune.core.errors import (
@@ -44,7 +44,7 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.modes import Floats, mode_set
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 
 JOB, RESULT = "job.json", "result.npz"
 FAULT, EXHAUSTED = "*ERROR", "*EXHAUSTED"

@@ -23,7 +23,7 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
-from modetune.core.updating.damping import Damper, DampingKind, DampingModel, Linear
+from modetune.core.updating.damping_model import Damper, DampingKind, DampingModel, Linear
 from modetune.core.updating.parameter_matrices import ParameterMatrices, Powers, parameter_matrices
 
 #: What matrices a part may have, as models' files call them; modes know the first two.

@@ -21,7 +21,7 @@ from modetune.adapters.solver import (
 )
 from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import Result
+from modetune.core.updating.job_results import Result
 
 
 @dataclass(frozen=True)

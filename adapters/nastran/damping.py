@@ -23,7 +23,7 @@ from modetune.adapters.solver import Deck
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity
-from modetune.core.updating.damping import DampingKind, Linear
+from modetune.core.updating.damping_model import DampingKind, Linear
 
 #: Forms of elements that act along axes in space.
 LINES = ("line", "bush")

@@ -46,7 +46,7 @@ from modetune.core.errors import ModelError, SolverCrashed
 from modetune.core.expressions import names_of, parts, read
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, Values
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 
 #: The set of constraints that keep the responses.
 CONSTRAINTS = 1

@@ -26,7 +26,7 @@ from modetune.core.element_geometry import (
 from modetune.core.errors import ModelError
 from modetune.core.mesh import CORNERS, CellKind, Mesh
 from modetune.core.modes import Floats
-from modetune.core.updating.static import Force, LoadCase
+from modetune.core.updating.static_model import Force, LoadCase
 
 #: Cards whose second field is a load set and which no forces at grid points stand for here.
 OTHER_LOADS = (

@@ -46,9 +46,9 @@ from modetune.core.expressions import degree
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import DAMPING, Parameter, Values, assigned, driven_by
-from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation, observe
-from modetune.core.updating.static import LoadCase
+from modetune.core.updating.static_model import LoadCase
 
 logger = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from modetune.adapters.solver import AffectedElements, Target
 from modetune.adapters.splitting import OF_MATERIALS
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, TargetKind
-from modetune.core.updating.matrix_samples import with_tied
+from modetune.core.updating.parameter_matrices import with_tied
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 from modetune.adapters.cross_checks import check_energies
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 COMPONENTS = 6
 #: Generalised masses are printed with seven digits; what is this near to 1 is 1.

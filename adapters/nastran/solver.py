@@ -42,7 +42,8 @@ from modetune.core.errors import (
 )
 from modetune.core.parameters import Parameter, Values
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import ModalResult, ModeDerivatives, Result
+from modetune.core.updating.job_results import ModalResult, Result
+from modetune.core.updating.sensitivity import ModeDerivatives
 
 logger = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import ModeSet
 from modetune.core.near_names import listed
-from modetune.core.storage.seal import title_of
+from modetune.core.storage.sealed_file import title_of
 
 if TYPE_CHECKING:
     from modetune.core.measurement.time_histories import TimeHistories

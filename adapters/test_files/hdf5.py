@@ -16,8 +16,8 @@
                         (n_tests, n_modes); attribute worth
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
-that follows, which is verified before HDF5 opens the file (`core/storage/seal`). Other programs
-write such files with `write_test_hdf5`.
+that follows, which is verified before HDF5 opens the file (`core/storage/sealed_file`). Other
+programs write such files with `write_test_hdf5`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from modetune.core.measurement.measurement import (
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, Normalisation
 from modetune.core.storage.codec import read_value, write_value
 from modetune.core.storage.files import writing
-from modetune.core.storage.seal import content, holds, sealed, title_of
+from modetune.core.storage.sealed_file import content, holds, sealed, title_of
 
 __test__ = False  # it reads and writes tests, and is none
 

@@ -16,7 +16,7 @@ import numpy as np
 from modetune.adapters.test_files.modes_csv import sensor_of
 from modetune.adapters.test_files.tables import FileTable, number, row_values
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Response
+from modetune.core.measurement.response_functions import Response
 from modetune.core.modes import Floats
 
 if TYPE_CHECKING:

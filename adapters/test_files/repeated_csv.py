@@ -20,7 +20,7 @@ import numpy as np
 from modetune.adapters.test_files.tables import FileTable, factor, heading, number
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import Measurement, OtherValues, RepeatedTests
-from modetune.core.measurement.repeated import APART, measurement_of
+from modetune.core.measurement.repeated_tests import APART, measurement_of
 from modetune.core.modes import Floats
 
 NAMED = ("test", "run", "repetition", "specimen", "sample", "measurement")

@@ -30,13 +30,13 @@ from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
 from modetune.adapters.translation.shells import KINDS, WrittenShells
 from modetune.adapters.translation.translation import Translation, translate
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Values, driven_by
 from modetune.core.updating.observation import Observation
-from modetune.core.updating.results import MatrixResult
-from modetune.core.updating.static import LoadCase
+from modetune.core.updating.static_model import LoadCase
 
 logger = logging.getLogger(__name__)
 

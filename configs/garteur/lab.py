@@ -25,7 +25,7 @@ from modetune.configs.garteur.twin import truth_modes
 from modetune.configs.measuring import accelerances, noisy_functions
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 
 #: Young's moduli relative to the nominal 71,000 MPa.
 TRUTH = {"FUSELAGE": 1.15, "WING": 0.9, "FIN": 0.8, "TAILPLANE": 0.9, "DRUMS": 1.0}

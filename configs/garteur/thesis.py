@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.configs.claims import Claim
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 
 #: Thesis Table 21: frequency errors after updating, in per cent, after 3 iterations.
 THESIS_ERRORS = (1.6, 0.4, 3.6, 5.9, 1.0, 0.2)

@@ -23,10 +23,10 @@ from modetune.configs.six_mass import system
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factorisation import Matrix, symmetric_matrix
 from modetune.core.correlation.correlation import mac
-from modetune.core.measurement.frf import Complexes, NormalModes, modal_frf
+from modetune.core.measurement.response_functions import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.direct import (
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.direct_update import (
     DirectUpdate,
     ReferenceModes,
     direct_matrix_update,

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from modetune.core.measurement.alignment import ON_A_LINE, degrees_of, umeyama
 from modetune.core.measurement.measurement import TestGeometry
+from modetune.core.measurement.registration import ON_A_LINE, degrees_of, umeyama
 from modetune.core.modes import Floats, Integers, ModeSet
 
 Shapes = NDArray[np.float64] | NDArray[np.complex128]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
-from modetune.core.measurement.frf import Complexes, Response
+from modetune.core.measurement.response_functions import Complexes, Response
 from modetune.core.modes import Floats, Integers, MeasuredModes
 
 

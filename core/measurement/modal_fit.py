@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.frf import Complexes, Response
+from modetune.core.measurement.response_functions import Complexes, Response
 from modetune.core.modes import Floats, Integers
 
 POWER: dict[Response, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}

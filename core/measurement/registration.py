@@ -1,44 +1,61 @@
-"""A test laid over a model without knowing where on its surface each point belongs.
+"""Where the points of a test lie on a model: scale, rotation and translation.
 
-1. Starts. Rotations all over SO(3) (super-Fibonacci spirals, Alexa 2022) and those that lay box on
-   box, each with translations over what the two boxes leave open, so that a test of one wing is
-   tried all along the model. They are compared by distances looked up in cubes; the better ones
-   go through iterations of closest points (Besl and McKay 1992), many poses at a time.
-2. Fits. Of poses that differ, Gauss-Newton steps on exact distances to the surface. With q the
-   foot of a point y and F the projector on the directions along which it may slide, a small turn
-   w and shift v change what is left by (1 - F)(y - q + w x y + v); weights leave out points
+A test has its own axes, origin and unit of length. A test point x lies in the model at
+
+    y = s R x + t,        s > 0, R a proper rotation, t in the model's length.
+
+**Points with known partners** (Umeyama 1991, IEEE Trans. PAMI 13, eqs. 40-42): with centred points
+X and targets Y (n, 3) and the decomposition Y^T X / n = U D V^T, the minimum of the sum of
+|y - s R x - t|^2 has
+
+    R = U S V^T,  s = tr(D S) / (|X|^2 / n),  t = mean(y) - s R mean(x),  S = diag(1, 1, det U V)
+
+S keeps R proper: a mirrored structure is another structure. Points in one plane have D[2] = 0 and
+still only one R; points on one line leave a rotation about it open and are refused.
+
+**Points somewhere on the model's surface**:
+
+1. Starts. Rotations all over SO(3) (super-Fibonacci spirals: Alexa 2022, Proc. CVPR, 8291-8300) and
+   those that place box on box, each with translations over what the two boxes leave open, so that a
+   test of one wing is tried all along the model. Distances looked up in cubes rank them; the
+   better ones go through iterations of closest points (Besl and McKay 1992), many poses at a time.
+2. Fits. Poses that differ are refined by Gauss-Newton steps on exact distances to the surface. With
+   q the foot of a point y and F the projector on the directions along which it may slide, a small
+   turn w and shift v change what is left by (1 - F)(y - q + w x y + v); weights leave out points
    farther than three times the median (compare the trimmed form of Chetverikov et al. 2002).
-3. Nodes. A fit that lays three in four points on nodes to 2e-3 of their spacing is exact: tests are
+3. Nodes. A fit that puts three in four points on nodes to 2e-3 of their spacing is exact: tests are
    often planned at nodes, and chance does not do that.
-4. What cannot be told apart. With r the root mean square of what a fit leaves, errors of places of
-   unknown size give two fits the likelihood ratio (r_2 / r_1)^n, n the points less six unknowns.
-   Fits that are not EVIDENCE less likely are told as others. Fits of the mirrored points are
-   compared likewise, and motions of the best fit that leave it as likely.
+4. Ambiguity. With r the root mean square of what a fit leaves, errors of places of unknown size
+   give two fits the likelihood ratio (r_2 / r_1)^n, n the points less six unknowns. Fits that are
+   less likely by no more than EVIDENCE are reported as alternatives. Fits of the mirrored points
+   are compared likewise, and so are motions of the best fit that leave it as likely.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import permutations, product
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
-from modetune.core.measurement.alignment import Alignment, Registration, require_spread
+from modetune.core.errors import ModesError
 from modetune.core.measurement.closest_points import SurfacePoints
-from modetune.core.measurement.poses import (
-    Poses,
-    chosen,
-    diagonal,
-    joined,
-    normal_equations,
-    nudged,
-    spread,
-    step,
-    umeyamas,
-)
-from modetune.core.measurement.starts import CUT, promising, starts
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 
+#: Points whose second extent is below this part of the first lie on a line.
+ON_A_LINE = 1e-3
+#: Rotations of starts, cubes along each side that distances are looked up in, samples in them.
+ROTATIONS, CUBES, SAMPLES = 2400, 44, 20_000
+#: Distances count up to this part of the test's size.
+CUT = 0.1
+#: Starts that go on.
+STARTED = 1500
+#: Translations are tried this part of the test's size apart, at most so many a rotation.
+APART, TRANSLATIONS = 0.15, 150
+#: How far, as a factor, a fitted scale may go from the ratio of the boxes.
+SCALE_RANGE = 1.4
 #: Points that find starts, that fit poses, and that decide.
 FEW, SOME, MANY = 30, 60, 600
 #: Poses that are fitted exactly, and that are compared.
@@ -55,6 +72,345 @@ ON_NODE = 2e-3
 HIT = 0.75
 #: Steps from a pose by hand at most: from afar they are short.
 REFINED = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Where test points lie in a model: y = scale rotation x + translation.
+
+    scale: model lengths a test length. rotation: (3, 3), proper. translation: (3,), the model's
+    length. residuals: (n_points,), distances left by a fit, the model's length; empty where the
+    alignment was given. used: (n_points,), which points took part in the fit.
+    notes: what is to be known of it, a sentence each.
+    """
+
+    scale: float
+    rotation: Floats
+    translation: Floats
+    residuals: Floats = field(default_factory=lambda: np.zeros(0))
+    used: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    notes: tuple[str, ...] = ()
+
+    def apply(self, coordinates: Floats) -> Floats:
+        """Coordinates (n, 3) of the test in the model's axes and length."""
+        return np.asarray(self.scale * coordinates @ self.rotation.T + self.translation)
+
+    def turn(self, directions: Floats) -> Floats:
+        """Directions (..., 3) of the test in the model's axes."""
+        return np.asarray(directions @ self.rotation.T)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of what the fit left at the points it used; 0 where given."""
+        left = self.residuals[self.used]
+        return float(np.sqrt(np.mean(left**2))) if left.size else 0.0
+
+    @property
+    def largest(self) -> float:
+        """Largest of what the fit left at the points it used; 0 where given."""
+        return float(self.residuals[self.used].max(initial=0.0))
+
+    @property
+    def degrees(self) -> float:
+        """How far the rotation turns, 0 to 180."""
+        return degrees_of(self.rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """Ways to lay a test over a model.
+
+    best: the likeliest. others: those that cannot be told from it, likelier ones first. slides:
+    how far points may move at most in motions that the fit cannot tell, the model's length.
+    on_nodes: whether points lie on nodes. mirrored: whether the mirrored points fit far better.
+    """
+
+    best: Alignment
+    others: tuple[Alignment, ...] = ()
+    slides: float = 0.0
+    on_nodes: bool = False
+    mirrored: bool = False
+
+
+def fit_similarity(points: Floats, targets: Floats, scale: float | None = None) -> Alignment:
+    """The alignment that brings points nearest to their known partners.
+
+    points, targets: (n, 3), partners in the same row. scale: model lengths a test length where it
+    is known; None fits it too. Raises ModesError for fewer than three points, points on one line
+    and arrays that do not fit together. Source: Umeyama (1991).
+    """
+    if points.shape != targets.shape:
+        raise ModesError(f"{len(points)} points cannot be fitted to {len(targets)} partners")
+    require_spread(points, "the test's points with known partners")
+    require_spread(targets, "the model's nodes they belong to")
+    found = umeyama(points, targets, scale)
+    mirror = np.diag([1.0, 1.0, -1.0])
+    mirrored = umeyama(points @ mirror, targets, scale)
+    left, other = (
+        np.linalg.norm(fit.apply(where) - targets, axis=1)
+        for fit, where in ((found, points), (mirrored, points @ mirror))
+    )
+    size = float(np.linalg.norm(np.ptp(targets, axis=0)))
+    notes: tuple[str, ...] = ()
+    # In a plane the mirrored points are the points, and both fit alike.
+    if np.sqrt(np.mean(left**2)) > 1e-6 * size and np.sum(other**2) < 0.25 * np.sum(left**2):
+        notes = (
+            "the test's points fit far better as their own mirror image: a partner may be wrong, "
+            "or the test's axes are left-handed",
+        )
+    return Alignment(
+        found.scale, found.rotation, found.translation, left, np.ones(len(points), bool), notes
+    )
+
+
+def umeyama(points: Floats, targets: Floats, scale: float | None) -> Alignment:
+    """The fit of points (n, 3) to targets (n, 3) without residuals or checks, eqs. 40-42."""
+    x, y = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    U, D, Vt = np.linalg.svd(y.T @ x)
+    S = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    R = (U * S) @ Vt
+    spread = float(np.sum(x**2))
+    # Points all paired with one node would have scale 0, by which nothing can be divided.
+    fitted = max(float(D @ S) / spread, 1e-300) if spread > 0.0 else 1.0
+    s = fitted if scale is None else scale
+    return Alignment(s, R, targets.mean(axis=0) - s * R @ points.mean(axis=0))
+
+
+def degrees_of(rotation: Floats) -> float:
+    """How far a rotation (3, 3) turns, 0 to 180."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))
+
+
+def require_spread(points: Floats, whose: str) -> None:
+    """Raise ModesError where points (n, 3) fix no rotation."""
+    if len(points) < 3:
+        raise ModesError(f"{whose} are {len(points)}; a fit takes three or more, not on one line")
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if extents[1] <= ON_A_LINE * extents[0]:
+        raise ModesError(
+            f"{whose} lie on one line, which leaves the rotation about it open: it cannot be fitted"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Several poses y = s R x + t: scales (m,), rotations (m, 3, 3), translations (m, 3)."""
+
+    scales: Floats
+    rotations: Floats
+    translations: Floats
+
+    def apply(self, points: Floats) -> Floats:
+        """Points (n, 3), at each pose (m, n, 3)."""
+        turned = np.matmul(points, self.rotations.transpose(0, 2, 1))
+        return np.asarray(self.scales[:, None, None] * turned + self.translations[:, None, :])
+
+    def take(self, rows: Integers | NDArray[np.bool_] | list[int] | slice) -> Poses:
+        """Some of them, in this order."""
+        return Poses(self.scales[rows], self.rotations[rows], self.translations[rows])
+
+    def __len__(self) -> int:
+        return self.scales.size
+
+
+def umeyamas(
+    points: Floats, targets: Floats, kept: NDArray[np.bool_], scales: Floats, free: bool
+) -> Poses:
+    """Points (n, 3) fitted to targets (m, n, 3) where kept (m, n): see alignment."""
+    weights = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
+    of_points, of_targets = weights @ points, np.einsum("mn,mni->mi", weights, targets)
+    x = points - of_points[:, None, :]
+    y = (targets - of_targets[:, None, :]) * weights[:, :, None]
+    U, D, Vt = np.linalg.svd(np.matmul(y.transpose(0, 2, 1), x))
+    sign = np.ones((len(U), 3))
+    sign[:, 2] = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    rotations = np.matmul(U * sign[:, None, :], Vt)
+    if free:
+        spreads = np.sum(weights[:, :, None] * x**2, axis=(1, 2))
+        scales = np.maximum(np.sum(D * sign, axis=1), 1e-300) / np.maximum(spreads, 1e-300)
+    moved = np.einsum("mij,mj->mi", rotations, of_points)
+    return Poses(scales, rotations, of_targets - scales[:, None] * moved)
+
+
+def normal_equations(
+    places: Floats, left: Floats, held: Floats, weights: NDArray[np.bool_], lengths: Floats | float
+) -> tuple[Floats, Floats]:
+    """Normal matrices (m, 7, 7) and right sides (m, 7) of a turn, a shift and a growth."""
+    lengths = np.reshape(lengths, (-1, 1, 1))
+    arms = (places - places.mean(axis=1, keepdims=True)) / lengths
+    count = places.shape[:2]
+    jacobian = np.zeros((*count, 3, 7))
+    jacobian[..., 0, 1], jacobian[..., 0, 2] = arms[..., 2], -arms[..., 1]
+    jacobian[..., 1, 0], jacobian[..., 1, 2] = -arms[..., 2], arms[..., 0]
+    jacobian[..., 2, 0], jacobian[..., 2, 1] = arms[..., 1], -arms[..., 0]
+    jacobian[..., 3:6] = np.eye(3)
+    jacobian[..., 6] = arms
+    seen = np.matmul(held, jacobian) * weights[..., None, None]
+    seen = seen.reshape(len(places), -1, 7)
+    right = (left / lengths).reshape(len(places), -1, 1)
+    return np.matmul(seen.transpose(0, 2, 1), seen), np.matmul(seen.transpose(0, 2, 1), right)[
+        ..., 0
+    ]
+
+
+def step(
+    poses: Poses,
+    places: Floats,
+    left: Floats,
+    held: Floats,
+    weights: NDArray[np.bool_],
+    lengths: Floats,
+    free: bool,
+) -> Poses:
+    """Poses after a step of Gauss and Newton, none in directions that points do not see."""
+    normal, right = normal_equations(places, left, held, weights, lengths)
+    if not free:
+        normal, right = normal[:, :6, :6], right[:, :6]
+    trace = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    unseen = np.maximum(1e-9 * trace, 1e-12) * np.eye(normal.shape[1])
+    delta = -np.linalg.solve(normal + unseen, right[..., None])[..., 0]
+    longest = np.linalg.norm(delta, axis=1, keepdims=True)
+    delta = delta * np.minimum(1.0, 0.3 / np.maximum(longest, 1e-300))
+    return nudged(poses, places, np.pad(delta, ((0, 0), (0, 7 - delta.shape[1]))), lengths)
+
+
+def nudged(poses: Poses, places: Floats, delta: Floats, lengths: Floats) -> Poses:
+    """Poses after a turn, a shift (in sizes of the test) and a growth (m, 7) about the middle."""
+    centres = places.mean(axis=1)
+    turns = np.asarray(scipy.spatial.transform.Rotation.from_rotvec(delta[:, :3]).as_matrix())
+    growth = np.exp(delta[:, 6])
+    arms = np.einsum("mij,mj->mi", turns, poses.translations - centres)
+    return Poses(
+        poses.scales * growth,
+        np.matmul(turns, poses.rotations),
+        centres + growth[:, None] * arms + delta[:, 3:6] * lengths[:, None],
+    )
+
+
+def joined(*several: Poses) -> Poses:
+    return Poses(
+        np.concatenate([poses.scales for poses in several]),
+        np.concatenate([poses.rotations for poses in several]),
+        np.concatenate([poses.translations for poses in several]),
+    )
+
+
+def chosen(which: NDArray[np.bool_], these: Poses, those: Poses) -> Poses:
+    return Poses(
+        np.where(which, these.scales, those.scales),
+        np.where(which[:, None, None], these.rotations, those.rotations),
+        np.where(which[:, None], these.translations, those.translations),
+    )
+
+
+def spread(points: Floats, at_most: int) -> Floats:
+    """So many of the points, each the farthest from those before it."""
+    if len(points) > 20 * at_most:  # multiples of the golden ratio miss no row of a grid
+        parts = np.arange(20 * at_most) * (np.sqrt(5.0) - 1.0) / 2.0 % 1.0
+        points = points[np.unique((parts * len(points)).astype(np.int64))]
+    if len(points) <= at_most:
+        return points
+    if at_most > 500:
+        return np.asarray(points[np.linspace(0, len(points) - 1, at_most).astype(np.int64)])
+    rows = [int(np.argmax(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))]
+    away = np.sum((points - points[rows[0]]) ** 2, axis=1)
+    while len(rows) < at_most:
+        rows.append(int(np.argmax(away)))
+        away = np.minimum(away, np.sum((points - points[rows[-1]]) ** 2, axis=1))
+    return np.asarray(points[rows])
+
+
+def diagonal(points: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def starts(points: Floats, samples: Floats, scale: float | None) -> Poses:
+    """Rotations all over, box on box, with translations over what the boxes leave open."""
+    frames = [np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2] for x in (points, samples)]
+    of_points, of_model = (axes * np.sign(np.linalg.det(axes)) for axes in frames)
+    turns = _quarter_turns()
+    boxes = np.concatenate([turns, of_model.T @ turns @ of_points])
+    rotations = np.concatenate([boxes, _super_fibonacci(ROTATIONS)])
+    turned = np.matmul(points, rotations.transpose(0, 2, 1))
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    extents = np.ptp(turned, axis=1)
+    boxed = np.linalg.norm(high - low) / np.linalg.norm(extents, axis=1)
+    scales = boxed if scale is None else np.full(len(rotations), scale)
+    middles = (turned.min(axis=1) + turned.max(axis=1)) / 2.0
+    # A stray point makes the test's box too large: then, too, the boxes do not say where it lies.
+    open_ways = np.abs((high - low) - scales[:, None] * extents) / 2.0
+    steps = APART * scales * diagonal(points)
+    counts = np.prod(1.0 + 2.0 * open_ways / steps[:, None], axis=1)
+    counts = np.minimum(np.ceil(counts - 0.5), TRANSLATIONS).astype(np.int64)
+    rows = np.repeat(np.arange(len(rotations)), counts)
+    place = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    # Weyl sequence of the three-dimensional golden ratio, from the middle outwards.
+    parts = (0.5 + place[:, None] * np.array([0.8191725134, 0.6710436067, 0.5497004779])) % 1.0
+    centres = (low + high) / 2.0 + (2.0 * parts - 1.0) * open_ways[rows]
+    return Poses(scales[rows], rotations[rows], centres - scales[rows, None] * middles[rows])
+
+
+def promising(poses: Poses, points: Floats, samples: Floats, free: bool) -> Poses:
+    """The better starts after iterations of closest points, looked up in cubes."""
+    size = diagonal(points)
+    margin = 0.1 * diagonal(samples)
+    low = samples.min(axis=0) - margin
+    cube = (np.ptp(samples, axis=0).max() + 2.0 * margin) / CUBES
+    shape = np.ceil((np.ptp(samples, axis=0) + 2.0 * margin) / cube).astype(np.int64)
+    few = samples[:: max(len(samples) // SAMPLES, 1)]
+    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    nearest = few[scipy.spatial.KDTree(few).query(low + (grid + 0.5) * cube)[1]]
+
+    def closest(places: Floats) -> Floats:
+        inside = np.clip(((places - low) / cube).astype(np.int64), 0, shape - 1)
+        cubes = (inside[..., 0] * shape[1] + inside[..., 1]) * shape[2] + inside[..., 2]
+        return np.asarray(nearest[cubes])
+
+    def scores(some: Poses) -> Floats:
+        found = []
+        for first in range(0, len(some), 20_000):
+            part = some.take(slice(first, first + 20_000))
+            places = part.apply(points)
+            away = np.linalg.norm(closest(places) - places, axis=2)
+            found.append(
+                np.mean(np.minimum(away / (part.scales * size)[:, None], CUT) ** 2, axis=1)
+            )
+        return np.concatenate(found)
+
+    poses = poses.take(np.argsort(scores(poses), kind="stable")[:STARTED])
+    boxed = poses.scales
+    for iteration in range(14):
+        places = poses.apply(points)
+        targets = closest(places)
+        away = np.linalg.norm(targets - places, axis=2)
+        reach = np.maximum(
+            3.0 * np.median(away, axis=1), CUT * 0.9**iteration * poses.scales * size
+        )
+        poses = umeyamas(points, targets, away <= reach[:, None], poses.scales, free)
+        if free:
+            held = np.clip(poses.scales, boxed / SCALE_RANGE, boxed * SCALE_RANGE)
+            poses = replace(poses, scales=held)
+    return poses.take(np.argsort(scores(poses), kind="stable")[: STARTED // 3])
+
+
+def _quarter_turns() -> Floats:
+    """The 24 proper rotations (24, 3, 3) that take axes to axes."""
+    turns = [
+        np.eye(3)[list(order)] * np.array(signs)
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return np.array([turn for turn in turns if np.linalg.det(turn) > 0.0])
+
+
+def _super_fibonacci(count: int) -> Floats:
+    """Rotations (count, 3, 3) evenly all over."""
+    s = np.arange(count) + 0.5
+    r, big_r = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    alpha, beta = 2.0 * np.pi * s / np.sqrt(2.0), 2.0 * np.pi * s / 1.533751168755204288118041
+    parts = [r * np.sin(alpha), r * np.cos(alpha), big_r * np.sin(beta), big_r * np.cos(beta)]
+    quaternions = np.column_stack(parts)
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat(quaternions).as_matrix())
 
 
 def register(

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from modetune.core.assignment import least_cost
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats, Integers
 
 #: Orders that a track may miss before it ends.

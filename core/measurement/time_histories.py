@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.frf import Complexes, Response
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.response_functions import Complexes, Response
 from modetune.core.modes import Floats, Integers
 
 Estimator = Literal["h1", "h2"]

@@ -1,19 +1,22 @@
-"""Frozen dataclasses as HDF5 and back, by their type hints: the form of all files of our own.
+"""Frozen dataclasses as HDF5 and back, by their type hints: the form of all modetune files.
 
 A dataclass is a group, and each of its fields a member of the field's name:
 
     text, number, truth value, Literal, Enum   an attribute of the group
     array; tuple of texts or numbers           a dataset
-    dataclass                                  a group; where several classes may stand there, its
-                                               attribute `class` names the one that does
+    dataclass                                  a group; where several classes are possible, its
+                                               attribute `class` names the actual one
     tuple of anything else                     a group with the members 0000, 0001, ...
     mapping                                    a group with the members keys and values
     sparse matrix (CSR)                        a group with shape, data, indices, indptr
     None                                       nothing
 
+Large arrays are compressed without loss. Texts are UTF-8; what that cannot represent is escaped.
+
 Reading is strict: a member that is missing, or that the dataclass does not know, or of another
 type, and values that the dataclass itself refuses, raise StoreDamaged. HDF5 hangs or crashes on
-some files with a wrong byte, so only what a seal (`core/storage/seal`) vouches for is read.
+some files with a wrong byte, so modetune reads only what a seal (`core/storage/sealed_file`)
+confirms.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, lru_cache
 from types import NoneType, UnionType
 from typing import Any, Literal, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -30,8 +33,14 @@ import numpy as np
 from scipy import sparse
 
 from modetune.core.errors import ModetuneError, StoreDamaged
-from modetune.core.storage import members
 
+#: Arrays of at least so many bytes are compressed: less than a page of the disk saves nothing.
+COMPRESSED_BYTES = 4096
+#: zlib's level: higher ones take several times as long for a hundredth of the size.
+LEVEL = 1
+#: Larger arrays of reals are stored as they are: zlib saves a quarter of their noisy digits, at 100
+#: MB/s, and a disk is faster.
+COMPRESSED_REALS = 1 << 24
 D = TypeVar("D")
 
 #: What h5py and constructors raise where a file is not what was expected.
@@ -46,6 +55,95 @@ UNFIT = (
     MemoryError,
     ModetuneError,
 )
+
+
+def write_attribute(group: h5py.Group, name: str, value: Any) -> None:
+    """value: an array without axes."""
+    told, held = _types(value.dtype)
+    h5py.h5a.create(group.id, name.encode(), told, _space(())).write(value, held)
+
+
+def read_attribute(group: h5py.Group, name: str) -> Any:
+    """What an attribute holds, texts decoded."""
+    return _held(h5py.h5a.open(group.id, name.encode()))
+
+
+def write_dataset(group: h5py.Group, name: str, array: Any) -> None:
+    """A dataset, compressed where that pays."""
+    whole = array.dtype.kind in "iub"
+    most = np.inf if whole else COMPRESSED_REALS
+    if not COMPRESSED_BYTES <= array.nbytes <= most or array.dtype.kind == "O":
+        # As `create_dataset` does in a third of its time; a job's result has nine of them.
+        told, held = _types(array.dtype)
+        made = h5py.h5d.create(group.id, name.encode(), told, _space(array.shape), _untimed())
+        inside = h5py.h5s.ALL
+        made.write(inside, inside, np.ascontiguousarray(array).reshape(array.shape), held)
+    else:
+        # Bytes of whole numbers are sorted by place, where they repeat. Reals come from text, with
+        # few digits, and repeat as they are: unsorted shapes take a quarter less, matrices a third.
+        group.create_dataset(
+            name, data=array, compression="gzip", compression_opts=LEVEL, shuffle=whole
+        )
+
+
+@cache
+def _types(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    """What HDF5 calls a type of values in a file, and in memory."""
+    return h5py.h5t.py_create(dtype, logical=True), h5py.h5t.py_create(dtype)
+
+
+@lru_cache
+def _space(shape: tuple[int, ...]) -> Any:
+    """What HDF5 calls a shape."""
+    return h5py.h5s.create_simple(shape)
+
+
+@cache
+def _untimed() -> Any:
+    """What datasets have besides: no time of writing, or no two files would be alike."""
+    made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    made.set_obj_track_times(False)
+    return made
+
+
+def read_dataset(group: h5py.Group, name: str) -> Any:
+    """What a dataset holds, texts decoded."""
+    return _held(h5py.h5d.open(group.id, name.encode()), h5py.h5s.ALL, h5py.h5s.ALL)
+
+
+def read_array(group: h5py.Group, name: str) -> Any:
+    """A dataset of numbers. Raises ValueError where it is something else."""
+    found = read_dataset(group, name)
+    if not found.ndim or found.dtype.kind not in "iufcb":
+        raise ValueError(f"{name} is not an array of numbers")
+    return found
+
+
+def _held(found: Any, *part: Any) -> Any:
+    values = np.empty(found.shape, found.dtype)
+    found.read(*part, values)
+    if values.dtype.kind == "O":
+        texts = [text.decode("utf-8", "surrogateescape") for text in values.flat]
+        values = np.array(texts, dtype=object).reshape(values.shape)
+    return values
+
+
+def refuse_others(group: h5py.Group, known: set[str] | frozenset[str]) -> None:
+    """Raises ValueError where a group has other members and attributes than these."""
+    strange = sorted({*group.keys(), *group.attrs.keys()} - known)
+    if strange:
+        raise ValueError(f"{group.name} has the unknown member {strange[0]!r}")
+
+
+def dtype_of(kind: type) -> np.dtype[Any]:
+    """Of single values in HDF5."""
+    return h5py.string_dtype() if kind is str else np.dtype(kind)
+
+
+def plain_text(value: Any) -> str:
+    """A text that HDF5 can hold: without NUL and lone surrogates, as file names may have."""
+    text = str(value).encode("utf-8", "backslashreplace").decode()
+    return text.replace("\0", r"\x00")
 
 
 def write_value(group: h5py.Group, value: object) -> None:
@@ -138,7 +236,7 @@ class _Scalar:
     def stored(self, value: Any) -> Any:
         if isinstance(value, Enum):
             value = value.name
-        return members.plain_text(value) if self.kind is str else self.kind(value)
+        return plain_text(value) if self.kind is str else self.kind(value)
 
     def checked(self, value: Any) -> Any:
         """A value as it was before it was stored. Raises ValueError."""
@@ -151,12 +249,10 @@ class _Scalar:
         return plain if self.made is None else self.made(plain)
 
     def write(self, group: h5py.Group, name: str, value: Any) -> None:
-        members.write_attribute(
-            group, name, np.array(self.stored(value), dtype=members.dtype_of(self.kind))
-        )
+        write_attribute(group, name, np.array(self.stored(value), dtype=dtype_of(self.kind)))
 
     def read(self, group: h5py.Group, name: str) -> Any:
-        return self.checked(members.read_attribute(group, name))
+        return self.checked(read_attribute(group, name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,10 +264,10 @@ class _Column:
 
     def write(self, group: h5py.Group, name: str, value: Sequence[Any]) -> None:
         stored = [self.item.stored(item) for item in value]
-        members.write_dataset(group, name, np.array(stored, dtype=members.dtype_of(self.item.kind)))
+        write_dataset(group, name, np.array(stored, dtype=dtype_of(self.item.kind)))
 
     def read(self, group: h5py.Group, name: str) -> tuple[Any, ...]:
-        found = members.read_dataset(group, name)
+        found = read_dataset(group, name)
         if found.ndim != 1 or (self.count is not None and found.size != self.count):
             raise ValueError(f"{group.name.rstrip('/')}/{name} has the shape {found.shape}")
         return tuple(self.item.checked(value) for value in found)
@@ -187,10 +283,10 @@ class _Array:
         array = np.asarray(value)
         kinds = [dtype for dtype in self.dtypes if dtype.kind == array.dtype.kind]
         stored = array.astype((kinds or self.dtypes)[0], casting="same_kind", copy=False)
-        members.write_dataset(group, name, stored)
+        write_dataset(group, name, stored)
 
     def read(self, group: h5py.Group, name: str) -> Any:
-        found = members.read_array(group, name)
+        found = read_array(group, name)
         for dtype in self.dtypes:
             if dtype.kind == found.dtype.kind:
                 return found.astype(dtype, copy=False)
@@ -205,14 +301,12 @@ class _Sparse:
         made = group.create_group(name)
         made["shape"] = np.array(value.shape, dtype=np.int64)
         for part in ("data", "indices", "indptr"):
-            members.write_dataset(made, part, getattr(value, part))
+            write_dataset(made, part, getattr(value, part))
 
     def read(self, group: h5py.Group, name: str) -> sparse.csr_array:
         found = group[name]
-        members.refuse_others(found, {"shape", "data", "indices", "indptr"})
-        shape, *parts = (
-            members.read_array(found, part) for part in ("shape", "data", "indices", "indptr")
-        )
+        refuse_others(found, {"shape", "data", "indices", "indptr"})
+        shape, *parts = (read_array(found, part) for part in ("shape", "data", "indices", "indptr"))
         matrix = sparse.csr_array(tuple(parts), shape=tuple(shape.tolist()))
         matrix.check_format()
         return matrix
@@ -270,7 +364,7 @@ class _Mapping:
 
     def read(self, group: h5py.Group, name: str) -> dict[Any, Any]:
         found = group[name]
-        members.refuse_others(found, {"keys", "values"})
+        refuse_others(found, {"keys", "values"})
         keys, values = self.keys.read(found, "keys"), self.values.read(found, "values")
         return dict(zip(keys, values, strict=True))
 
@@ -287,7 +381,7 @@ class _Dataclass:
             form.write(group, name, getattr(value, name))
 
     def take(self, group: h5py.Group, beside: frozenset[str] = frozenset()) -> Any:
-        members.refuse_others(group, beside.union(name for name, _ in self.forms))
+        refuse_others(group, beside.union(name for name, _ in self.forms))
         values = {}
         for name, form in self.forms:
             try:

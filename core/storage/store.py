@@ -7,8 +7,8 @@
 
 A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
 processes and machines may share the folder. Nothing is believed that its checksum denies
-(`core/storage/seal`): a damaged entry is set aside with a warning and counts as absent. Entries of
-other formats, older or newer, are other files: they are left alone.
+(`core/storage/sealed_file`): a damaged entry is set aside with a warning and counts as absent.
+Entries of other formats, older or newer, are other files: they are left alone.
 """
 
 from __future__ import annotations
@@ -24,23 +24,18 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
+from modetune.core.algebra.eigen import SolvedModes
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import StorageUnavailable, StoreDamaged
+from modetune.core.measurement.registration import Registration
 from modetune.core.storage.codec import read_value, write_value
 from modetune.core.storage.files import storage_errors, writing
 from modetune.core.storage.locks import FileLock
-from modetune.core.storage.seal import content, holds, read_head, sealed
-from modetune.core.updating.results import (
-    MatrixResult,
-    ModalResult,
-    ModeDerivatives,
-    ModesForecast,
-    ParameterMatrices,
-    ReducedModel,
-    ReducedRange,
-    Registration,
-    Result,
-    SolvedModes,
-)
+from modetune.core.storage.sealed_file import content, holds, read_head, sealed
+from modetune.core.updating.job_results import ModalResult, ModesForecast, Result
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.reduced_model import ReducedModel, ReducedRange
+from modetune.core.updating.sensitivity import ModeDerivatives
 
 R = TypeVar("R")
 

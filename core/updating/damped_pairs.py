@@ -12,7 +12,7 @@ from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
 from modetune.core.modes import Integers
-from modetune.core.updating.damping import DampingModel
+from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.responses.response import MatricesAt, ModelState
 
 #: Modes beside those of the pairs that the first guess is made of.

@@ -35,7 +35,7 @@ from scipy import linalg
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import RANK_TOLERANCE
+from modetune.core.updating.parameter_steps import RANK_TOLERANCE
 
 #: A combination of which the test tells less than this share is unseen.
 SEEN = 0.5

@@ -47,7 +47,7 @@ from scipy import sparse
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import StepProblem, parameter_step
+from modetune.core.updating.parameter_steps import StepProblem, parameter_step
 
 #: Pairs are tried among so many parameters, the best by themselves.
 MOST_FOR_PAIRS = 40

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import (
+from modetune.core.updating.parameter_steps import (
     RANK_TOLERANCE,
     LinearForm,
     StepProblem,

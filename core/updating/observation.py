@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import Integers
 
 Weights = dict[int, float]

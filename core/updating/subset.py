@@ -29,7 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import RANK_TOLERANCE, least_squares_in
+from modetune.core.updating.parameter_steps import RANK_TOLERANCE, least_squares_in
 
 #: Columns whose |cosine| reaches this count as saying the same; an angle of 18 degrees.
 COLLINEAR = 0.95

@@ -27,7 +27,7 @@ from modetune.core.errors import ModelError, NoResult, SolverCrashed, SolverReje
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import mode_set
 from modetune.core.parameters import Parameter, Values
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 PROGRAM = Path(__file__).with_name("rod.py")
 #: Which word of a `material` line is the number of each quantity.

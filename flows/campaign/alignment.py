@@ -17,9 +17,9 @@ from math import isnan
 import numpy as np
 
 from modetune.core.errors import CampaignError, ModesError, StorageUnavailable
-from modetune.core.measurement.alignment import Alignment, Registration, fit_similarity
 from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.measurement.measurement import TestGeometry
+from modetune.core.measurement.registration import Alignment, Registration, fit_similarity
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json, canonical_json, content_key

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from modetune.adapters.solver import Solver
 from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.algebra.rigid_modes import RigidByHand
-from modetune.core.correlation.matching import PairRules
+from modetune.core.correlation.pairing import PairRules
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
@@ -25,7 +25,7 @@ from modetune.core.parameters import Parameter, ParameterSet, Values, frequency_
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
-from modetune.core.updating.fields import Field, prior_precision
+from modetune.core.updating.parameter_fields import Field, prior_precision
 from modetune.core.updating.weighting import Weighting, weighting_side_by_side
 from modetune.flows.campaign.case import Case, whole_test
 from modetune.flows.campaign.configurations import configuration_files

@@ -14,10 +14,10 @@ from itertools import chain
 import numpy as np
 
 from modetune.adapters.solver import Solver
-from modetune.core.correlation.held_out import together
-from modetune.core.correlation.matching import PairRules
+from modetune.core.correlation.holdout import together
+from modetune.core.correlation.pairing import PairRules
 from modetune.core.measurement.measurement import Measurement
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.surface import Surface
 from modetune.core.updating.criteria import Tolerances

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.alignment import Alignment
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.measurement.sensors import SensorMap, mean_edge, next_nodes, result_directions
+from modetune.core.measurement.registration import Alignment
+from modetune.core.measurement.sensor_map import SensorMap, mean_edge, next_nodes, result_directions
 from modetune.core.mesh import Mesh
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
 from modetune.core.storage.store import Store

@@ -28,14 +28,14 @@ from modetune.core.parameters import (
     ValueKind,
     counted_from,
 )
-from modetune.core.updating.fields import (
+from modetune.core.updating.parameter_fields import (
     MOST_ZONES,
     Smoothing,
     element_graph,
     joined,
     zones_of,
 )
-from modetune.core.updating.fields import Field as ZoneField
+from modetune.core.updating.parameter_fields import Field as ZoneField
 from modetune.flows.responses.section import Finite, Name, Positive, Section
 
 #: Keys that name the target of a parameter.

@@ -34,7 +34,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.expressions import names_of
 from modetune.core.modes import COMPONENTS, Floats
 from modetune.core.parameters import QUANTITIES, ParameterSet
-from modetune.core.updating.estimation import Found, StepForm
+from modetune.core.updating.parameter_steps import Found, StepForm
 from modetune.flows.campaign.parameters import TARGET_KEYS, ParameterSection
 from modetune.flows.campaign.site import RunSection, Word
 from modetune.flows.campaign.units import LengthUnit, Units

@@ -10,10 +10,10 @@ from modetune.adapters.solver import Solver
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
-from modetune.core.measurement.repeated import check_alike, mean_of_tests
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.repeated_tests import check_alike, mean_of_tests
+from modetune.core.measurement.response_functions import Complexes
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.store import Store

@@ -26,7 +26,7 @@ def report(
 ) -> None:
     """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
     with begun(f"reading {record}") as tell:
-        from modetune.core.storage.record_file import read_record
+        from modetune.core.storage.campaign_record import read_record
         from modetune.flows.report.page import write_page
 
         named("--format", form, ("png", "svg"))

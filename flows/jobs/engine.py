@@ -42,7 +42,7 @@ from modetune.core.errors import (
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
-from modetune.core.updating.results import Result, finite
+from modetune.core.updating.job_results import Result, finite
 from modetune.flows.jobs.deck_texts import keep_text
 from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
 from modetune.flows.jobs.job_memory import JobMemory

@@ -16,7 +16,7 @@ from modetune.core.errors import (
     SolverError,
     SolverTimeout,
 )
-from modetune.core.updating.results import Result
+from modetune.core.updating.job_results import Result
 from modetune.flows.jobs.work import Tries
 
 logger = logging.getLogger(__name__)

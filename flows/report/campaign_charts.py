@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from modetune.core.modes import COMPONENTS, Floats, common_dofs
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.trust import Trust
 from modetune.flows.report.chart import (
     AFTER,

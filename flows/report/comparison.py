@@ -11,7 +11,7 @@ from modetune.core.correlation.pairing import mac_or_zero
 from modetune.core.correlation.sensor_errors import sensor_errors
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers, common_dofs
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.report.mode_tables import mode_rows
 from modetune.flows.report.parameter_tables import parameter_rows
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.fields import FieldAnswer
+from modetune.core.updating.parameter_fields import FieldAnswer
 from modetune.flows.report.tables import json_object
 
 #: Zones of a field that a table of parameters shows, those that changed most.

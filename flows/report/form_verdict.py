@@ -12,15 +12,15 @@ import numpy as np
 
 from modetune.core.modes import Floats
 from modetune.core.parameters import ParameterSet
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.fields import prior_precision
 from modetune.core.updating.model_form import (
     ModelForm,
     model_form,
     model_form_sentence,
     shares_left,
 )
+from modetune.core.updating.parameter_fields import prior_precision
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.report.tables import json_object
 

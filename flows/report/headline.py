@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.judgement import trust_sentences
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.trust import trust_sentences
 from modetune.flows.report.mode_tables import (
     ModeRow,
     mode_rows,

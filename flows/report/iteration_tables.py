@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.report.tables import Column, Table, table_of
 
 

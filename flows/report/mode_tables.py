@@ -10,9 +10,9 @@ from typing import Annotated
 
 import numpy as np
 
-from modetune.core.correlation.held_out import HeldOut
+from modetune.core.correlation.holdout import HeldOut
 from modetune.core.modes import mode_name
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.report.tables import Column, Table, columns_of, table_of
 
 

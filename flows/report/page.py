@@ -22,11 +22,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from modetune.core.errors import CampaignError
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.judgement import trust_sentences
 from modetune.core.updating.responses.frf import Frf
+from modetune.core.updating.trust import trust_sentences
 from modetune.flows.report.campaign_charts import campaign_charts
 from modetune.flows.report.chart import Chart, chart_json
 from modetune.flows.report.comparison import remarks, sensor_agreement

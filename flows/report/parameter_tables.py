@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.trust import Trust
 from modetune.flows.report.tables import Column, Table, columns_of, table_of
 

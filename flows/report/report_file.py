@@ -8,7 +8,7 @@ from pathlib import Path
 from jinja2 import TemplateError
 
 from modetune.core.errors import ModetuneError
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 
 logger = logging.getLogger(__name__)
 

@@ -17,10 +17,10 @@ from typing import Literal
 import numpy as np
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.frf import Complexes, NormalModes, frac, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.response_functions import Complexes, NormalModes, frac, modal_frf
 from modetune.core.modes import COMPONENTS, Floats, ModeSet
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.updating.responses.frf import Frf, fracs
 from modetune.core.updating.responses.response import block_parts
 from modetune.flows.campaign.units import KILOGRAMS, METRES

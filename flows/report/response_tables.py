@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.limits import breach
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.parameter_steps import breach
 from modetune.core.updating.responses.response import block_parts
 from modetune.flows.report.tables import Column, Table, table_of
 from modetune.flows.responses.residuals import response_types

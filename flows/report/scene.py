@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.modes import Floats, Integers, ModeSet, common_dofs
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.storage.keys import Json, number_or_null
-from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.core.surface import Surface, display_surface
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.mode_tables import mode_label

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from modetune.adapters.yaml_file import Place
-from modetune.core.measurement.repeated import damping_covariance
+from modetune.core.measurement.repeated_tests import damping_covariance
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.responses.response import ModewiseSection, TestedModel

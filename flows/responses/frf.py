@@ -8,12 +8,11 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from modetune.adapters.yaml_file import Place
-from modetune.core.measurement.frf import Complexes
-from modetune.core.measurement.frf_lines import chosen_lines, log_variances
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.response_functions import Complexes, chosen_lines, log_variances
 from modetune.core.modes import dof_name
 from modetune.core.parameters import DAMPING
-from modetune.core.updating.damping import Linear
+from modetune.core.updating.damping_model import Linear
 from modetune.core.updating.responses.frf import Frf, FrfCurve, fracs
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.responses.response import (

@@ -22,7 +22,7 @@ from modetune.adapters.yaml_file import YamlFile
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, dof_name
 from modetune.core.near_names import suggestion
-from modetune.core.updating.estimation import StepForm
+from modetune.core.updating.parameter_steps import StepForm
 from modetune.core.updating.responses.response import Response
 from modetune.core.updating.weighting import Weighting
 from modetune.flows.responses.response import ResponseSection, TestedModel

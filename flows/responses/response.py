@@ -21,9 +21,9 @@ from modetune.adapters.solver import Deck
 from modetune.adapters.yaml_file import Place
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
-from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import MeasuredFrfs, RepeatedTests
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.response_functions import Complexes
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import MeasuredModes, dof_name
 from modetune.core.parameters import ParameterSet, ValueKind
 from modetune.core.updating.criteria import Tolerances

@@ -13,7 +13,7 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import COMPONENTS, Floats, Integers
 from modetune.core.parameters import Values
 from modetune.core.updating.responses.static import Static
-from modetune.core.updating.static import LoadCase, Reading
+from modetune.core.updating.static_model import LoadCase, Reading
 from modetune.flows.responses.gauges import elongation, node_number
 from modetune.flows.responses.response import ResponseSection, TestedModel
 from modetune.flows.responses.section import Finite, NotNegative, Positive, Section, by_name

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.iteration_tables import iteration_table

@@ -31,7 +31,7 @@ from prefect.client.orchestration import get_client
 from prefect.client.schemas.actions import ArtifactUpdate
 from prefect.settings import PREFECT_CLIENT_MAX_RETRIES, temporary_settings
 
-from modetune.core.storage.record import IterationRecord
+from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.jobs.silent_runs import BEAT_S, send_heartbeat

@@ -13,13 +13,13 @@ from scipy import sparse
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import MatrixAnalysis
 from modetune.core.algebra.factor_room import FactorRoom
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.condensation.measured_unknowns import MeasuredModel, measured_model
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import CampaignError
 from modetune.core.modes import COMPONENTS, Floats, Integers, dof_name
 from modetune.core.parameters import Values
 from modetune.core.updating.observation import Observation, sensor_observation
-from modetune.core.updating.results import MatrixResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved

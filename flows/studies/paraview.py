@@ -22,10 +22,9 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.parameters import Values
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job

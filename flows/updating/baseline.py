@@ -17,8 +17,7 @@ import numpy as np
 from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
-from modetune.core.storage.record import RunCounts
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import RunCounts, read_record
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.report.tables import Column

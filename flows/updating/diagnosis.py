@@ -8,17 +8,19 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.modes import Floats
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord, IterationRecord
-from modetune.core.updating.estimation import RANK_TOLERANCE, LCurve, from_initial, l_curve
-from modetune.core.updating.fields import FieldAnswer, answer
 from modetune.core.updating.identifiability import identifiability
-from modetune.core.updating.judgement import (
+from modetune.core.updating.parameter_fields import FieldAnswer, answer
+from modetune.core.updating.parameter_steps import RANK_TOLERANCE, LCurve, from_initial, l_curve
+from modetune.core.updating.trust import (
+    StartSpread,
+    Trust,
     combination_sentences,
     judge_parameters,
     trust_sentences,
+    with_concerns,
 )
-from modetune.core.updating.trust import StartSpread, Trust, with_concerns
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.tables import json_object

@@ -13,9 +13,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from modetune.core.correlation.held_out import HeldOut
-from modetune.core.storage.record import CampaignRecord, IterationRecord
-from modetune.core.updating.judgement import trust_sentences
+from modetune.core.correlation.holdout import HeldOut
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
+from modetune.core.updating.trust import trust_sentences
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.report.field_tables import brief_record
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row

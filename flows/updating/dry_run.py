@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.core.errors import NotComputed, NotStored
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text

@@ -12,24 +12,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modetune.core.correlation.clusters import rotation_to_test
-from modetune.core.correlation.held_out import (
+from modetune.core.correlation.holdout import (
     HeldOut,
     judge_held_out,
     pair_held_out,
     track_held_out,
 )
-from modetune.core.correlation.matching import (
+from modetune.core.correlation.pairing import (
+    Pairing,
     PairRules,
     UncertainPairs,
     first_pairing,
     next_pairing,
     uncertain_pairs,
 )
-from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
-from modetune.core.updating.estimation import Step
-from modetune.core.updating.limits import breach
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.parameter_steps import Step, breach
 from modetune.core.updating.residual import residual, responses_agree
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -41,7 +41,6 @@ from modetune.core.updating.responses.response import (
     stacked_rows,
     with_values,
 )
-from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.case import Case, node_base, side_by_side
 
 #: Kinds whose e1 is asked of the pairs themselves, whether they are compared or not.

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Work

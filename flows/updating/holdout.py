@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 
-from modetune.core.correlation.held_out import HeldOut, join_held_out, judge_held_out, unfound
+from modetune.core.correlation.holdout import HeldOut, join_held_out, judge_held_out, unfound
 from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, ModeSet

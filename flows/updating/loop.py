@@ -22,9 +22,8 @@ import numpy as np
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.updating.criteria import slope
-from modetune.core.updating.estimation import BELIEVED, Step
+from modetune.core.updating.parameter_steps import BELIEVED, Step, TrustRegion
 from modetune.core.updating.sensitivity import broyden_update
-from modetune.core.updating.trust_region import TrustRegion
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator

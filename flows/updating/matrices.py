@@ -27,13 +27,15 @@ from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.keys import Json, canonical_json, content_key
-from modetune.core.updating.damping import GroupStiffness
-from modetune.core.updating.matrix_samples import differences, remainder, separate
+from modetune.core.updating.damping_model import GroupStiffness
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
+    differences,
     fit_powers,
     parameter_matrices,
+    remainder,
+    separate,
 )
 from modetune.flows.campaign.matrix_plan import MatrixPlan, Sampling, plan, sampling, scale_together
 from modetune.flows.jobs.engine import JobEngine

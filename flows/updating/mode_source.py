@@ -36,10 +36,9 @@ from modetune.core.errors import (
 )
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json
-from modetune.core.updating.modes_forecast import ModesForecast
+from modetune.core.updating.job_results import ModalResult, ModesForecast
 from modetune.core.updating.responses.response import MatricesAt
-from modetune.core.updating.results import ModalResult, ModeDerivatives
-from modetune.core.updating.sensitivity import stack_derivatives
+from modetune.core.updating.sensitivity import ModeDerivatives, stack_derivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.matrix_plan import unsuitable
 from modetune.flows.jobs.campaign_engine import job_engine

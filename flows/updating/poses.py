@@ -16,7 +16,7 @@ import numpy as np
 
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, NotStored, SolverError
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of

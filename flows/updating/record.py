@@ -23,14 +23,20 @@ import numpy as np
 
 from modetune import __version__
 from modetune.core.errors import ModesError, StorageUnavailable
-from modetune.core.measurement.sensors import global_directions
+from modetune.core.measurement.sensor_map import global_directions
 from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import Floats, ModeSet, mode_set
+from modetune.core.storage.campaign_record import (
+    CampaignRecord,
+    IterationRecord,
+    RunCounts,
+    SensorPlaces,
+    read_record,
+    write_record,
+)
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
-from modetune.core.storage.record_file import read_record, write_record
 from modetune.core.surface import Surface
-from modetune.core.updating.estimation import parameter_covariance
+from modetune.core.updating.parameter_steps import parameter_covariance
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.report.comparison import mac_table

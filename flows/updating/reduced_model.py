@@ -2,7 +2,7 @@
 
     matrix jobs, once      K(p), M(p) for all values             `matrices.py`
     each point             modes of K(theta), M(theta)           `solutions.py`: a factorisation
-    with them              a reduced model around the point      `core/updating/reduced`
+    with them              a reduced model around the point      `core/updating/reduced_model`
     each step              the whole problem on reduced models   milliseconds
     at the end             the solver's own modes or matrices    one job a case
 
@@ -15,7 +15,7 @@ not. A step that is short compared with one whose end was predicted well is not 
 matrices: where the reduced models predict that e1 holds there, the solver's own modes are next.
 
 For many points a reduced model grows until its worst point within the bounds agrees with the full
-solution (`core/updating/reduced_range`); a point with too large an error estimate is solved in
+solution (`core/updating/reduced_model`); a point with too large an error estimate is solved in
 full. One solver run at the worst point confirms the model for all later use within the bounds.
 """
 
@@ -33,11 +33,10 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import LostMode, close_modes
 from modetune.core.errors import ModelError, ModesError, ModetuneError, NoResult
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import Step
-from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_range import RangeUse, ReducedRange, range_sets
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.parameter_steps import Step
+from modetune.core.updating.reduced_model import RangeUse, ReducedModel, ReducedRange, range_sets
 from modetune.core.updating.responses.response import MatricesAt
-from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work

@@ -34,9 +34,10 @@ from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import CLOSE, Floats, Integers, close_sets
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.keys import Json
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.core.updating.sensitivity import (
+    ModeDerivatives,
     fox_kapoor,
     nelson,
     stack_derivatives,

@@ -43,12 +43,9 @@ from modetune.core.errors import ModesError, ModetuneError, SolverExhausted
 from modetune.core.modes import CLOSE, Floats, Integers
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.derivative_vectors import MOST_FORCES
-from modetune.core.updating.matrix_samples import differences
-from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_basis import reduce
-from modetune.core.updating.reduced_range import ReducedRange, reduce_over
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.parameter_matrices import ParameterMatrices, differences
+from modetune.core.updating.reduced_model import ReducedModel, ReducedRange, reduce, reduce_over
 from modetune.core.updating.sensitivity import ModeDerivatives, nelson
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, R

@@ -13,18 +13,22 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.estimation import Factor, Step, StepProblem, parameter_step
 from modetune.core.updating.identifiability import remaining_step
-from modetune.core.updating.limits import breach, step_within
-from modetune.core.updating.responses.response import Residual
-from modetune.core.updating.trust_region import (
+from modetune.core.updating.parameter_steps import (
     HELD,
     KEPT,
+    Factor,
     Scale,
+    Step,
+    StepProblem,
     TrustRegion,
+    breach,
     by_factors,
+    parameter_step,
+    step_within,
     trust_region_step,
 )
+from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator

@@ -42,10 +42,15 @@ from modetune.core.errors import (
     StoreDamaged,
 )
 from modetune.core.modes import Floats, MeasuredModes
+from modetune.core.storage.campaign_record import (
+    CampaignRecord,
+    IterationRecord,
+    RunCounts,
+    read_record,
+    write_record,
+)
 from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
-from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts
-from modetune.core.storage.record_file import read_record, write_record
 from modetune.core.updating.trust import StartSpread, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY

@@ -13,7 +13,7 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import MatrixAnalysis, Solver
 from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.updating.damping import GroupStiffness
+from modetune.core.updating.damping_model import GroupStiffness
 from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
 
 

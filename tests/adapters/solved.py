@@ -16,7 +16,7 @@ from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 Binder = Callable[[Path, tuple[Parameter, ...]], Solver]
 

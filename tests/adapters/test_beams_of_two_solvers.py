@@ -20,7 +20,7 @@ from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 E, G = 70e9, 70e9 / 2.6
 FREE = "SOL 103\nCEND\nMETHOD = 1\nBEGIN BULK\nEIGRL,1,,,10\n"

@@ -32,7 +32,7 @@ from modetune.core.errors import (
 )
 from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
 from modetune.core.storage.keys import canonical_json
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.shaft_line import DECK, shaft_frequencies, write_shaft
 
 SHAFT = CommandSettings(

@@ -15,11 +15,12 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import MatrixAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
+from modetune.core.updating.job_results import Result
 from modetune.core.updating.parameter_matrices import parameter_matrices
-from modetune.core.updating.results import MatrixResult, Result
-from modetune.core.updating.static import Reading, StaticModel
+from modetune.core.updating.static_model import Reading, StaticModel
 from tests.adapters.ccx_decks import MATERIAL, bar, plate
 from tests.adapters.mystran_decks import bracket, frame
 from tests.adapters.mystran_decks import plate as stepped_plate

@@ -16,9 +16,10 @@ from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, Command, MatrixAnalysis, ModalAnalysis, Solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import SolverCrashed, SolverRejected
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 
 K, M, N = 50.0, 2e-3, 12
 

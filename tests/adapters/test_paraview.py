@@ -22,7 +22,7 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.core.errors import NoResult, StorageUnavailable
 from modetune.core.mesh import Cells, Mesh, global_shapes
 from modetune.core.modes import mode_set
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.solved import needs_ccx
 
 MATERIAL = "*MATERIAL, NAME=M\n*ELASTIC\n70000., .3\n*DENSITY\n2.7e-9\n"

@@ -7,7 +7,7 @@ import pytest
 
 from modetune.adapters.pole_estimators import lscf_poles
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes, NormalModes, modal_frf
+from modetune.core.measurement.response_functions import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats
 
 FREQUENCIES, DAMPING = np.array([20.0, 60.0, 60.6, 110.0]), np.array([0.01, 0.005, 0.006, 0.02])

@@ -24,7 +24,7 @@ from modetune.core.algebra.rigid_modes import (
 )
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 STEEL = "*MATERIAL, NAME=STEEL\n*ELASTIC\n2.1e11, 0.3\n*DENSITY\n7800.\n"
 

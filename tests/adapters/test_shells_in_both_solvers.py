@@ -16,7 +16,7 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.adapters.test_solver_contract import run
 from tests.adapters.test_translation import MAT1, NU, RHO, E, Grid, card, plate_cards

@@ -23,6 +23,7 @@ from modetune.adapters.paraview import unstructured_grid
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import (
     ModelError,
     SolverCrashed,
@@ -32,7 +33,7 @@ from modetune.core.errors import (
 )
 from modetune.core.parameters import QUANTITIES, Parameter, Quantity
 from modetune.core.storage.keys import canonical_json
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 
 E, NU, RHO = 70_000.0, 0.3, 2.7e-9
 

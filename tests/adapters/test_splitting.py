@@ -21,7 +21,7 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity, TargetKind, ValueKind, counted_from
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 MYSTRAN = shutil.which(os.environ.get("MODETUNE_MYSTRAN", "mystran"))
 needs_mystran = pytest.mark.skipif(MYSTRAN is None, reason="MYSTRAN is not here (tools/mystran.sh)")

@@ -25,7 +25,7 @@ from modetune.adapters.translation.translation import Translation, translate
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.solved import needs_ccx
 
 #: Aluminium, m and kg.

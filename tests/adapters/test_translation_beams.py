@@ -22,7 +22,7 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.translation import translate
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.solved import needs_ccx
 
 E, G, RHO = 70e9, 70e9 / 2.6, 2700.0

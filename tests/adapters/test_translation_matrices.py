@@ -9,8 +9,9 @@ import pytest
 
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.parameters import Parameter, Quantity, TargetKind
-from modetune.core.updating.results import MatrixResult, ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_observation import solved
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run

@@ -20,7 +20,7 @@ from modetune.configs.fixture.thesis import (
 from modetune.configs.fixture.twin import MODULI, mean_stiffness
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict

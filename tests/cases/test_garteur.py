@@ -11,7 +11,7 @@ import pytest
 from modetune.configs.cases import write_case
 from modetune.configs.garteur.twin import TRUTH
 from modetune.core.errors import SolverMissing
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluators import evaluator_of

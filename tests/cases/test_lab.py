@@ -20,7 +20,7 @@ from modetune.configs.garteur.lab import (
     claims,
     write_lab,
 )
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 from tests.adapters.solved import needs_ccx
 from tests.command_line import run_command
 

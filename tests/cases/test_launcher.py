@@ -12,7 +12,7 @@ from modetune.adapters.solver import MatrixAnalysis
 from modetune.configs.cases import write_case
 from modetune.configs.launcher.launcher import GROUPS, UNIT_MOUNTS
 from modetune.core.errors import SolverMissing
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict

@@ -9,7 +9,7 @@ import pytest
 
 from modetune.configs.cases import write_case
 from modetune.configs.mast import twin
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.responses.mass_properties import MassSection
 from modetune.flows.responses.static import StaticSection

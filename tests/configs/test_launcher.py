@@ -35,7 +35,7 @@ from modetune.configs.launcher.launcher import (
 from modetune.configs.launcher.twin import FEET, MASSES, PADS, SADDLE, TRUTH, bodies, write_twin
 from modetune.core.errors import SolverMissing
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "launcher"
 #: mm^3: length x width x height, or area x thickness of shells; a gusset is half a square.

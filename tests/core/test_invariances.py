@@ -13,7 +13,7 @@ from scipy import sparse
 from modetune.core.correlation.correlation import subspace_mac
 from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import mode_set
-from modetune.core.updating.direct import ReferenceModes, direct_matrix_update
+from modetune.core.updating.direct_update import ReferenceModes, direct_matrix_update
 from modetune.core.updating.sensitivity import nelson
 
 #: Two equal chains side by side: every mode is a pair of equal frequency.

@@ -37,18 +37,20 @@ from modetune.adapters.solver import (
     SensitivityAnalysis,
     Solver,
 )
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import LicenceDenied, SolverCrashed, SolverRejected
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet, Quantity, Values
+from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import IterationRecord
 from modetune.core.storage.store import Store
 from modetune.core.surface import display_surface
 from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.job_results import ModalResult, Result
 from modetune.core.updating.observation import Observation, observe
-from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case

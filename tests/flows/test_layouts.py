@@ -14,8 +14,8 @@ from typing import Any, get_args
 import pytest
 
 from modetune.core.storage import codec, store
-from modetune.core.storage.record_file import CAMPAIGN
-from modetune.core.updating.results import Result
+from modetune.core.storage.campaign_record import CAMPAIGN
+from modetune.core.updating.job_results import Result
 from modetune.flows.studies.sample.record import POSTERIOR
 from modetune.flows.studies.scatter.record import SCATTER
 from modetune.flows.studies.screen.record import SCREENING

@@ -23,7 +23,7 @@ from modetune.adapters.test_files.universal.blocks import (
     data_kind,
     node_rows,
 )
-from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats, Integers
 
 

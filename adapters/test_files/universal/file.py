@@ -46,8 +46,8 @@ from modetune.adapters.test_files.universal.functions import frfs, histories
 from modetune.adapters.test_files.universal.modes import modes
 from modetune.adapters.test_files.universal.points import geometry, with_axes
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.frf import Response
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
+from modetune.core.measurement.response_functions import Response
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
 from modetune.core.storage.files import writing

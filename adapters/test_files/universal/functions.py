@@ -32,8 +32,8 @@ from modetune.adapters.test_files.universal.datasets import (
     Units,
     UniversalFile,
 )
-from modetune.core.measurement.frf import Complexes, Response
 from modetune.core.measurement.measurement import MeasuredFrfs
+from modetune.core.measurement.response_functions import Complexes, Response
 from modetune.core.modes import Floats
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from modetune.adapters.test_files.universal.datasets import DatasetShape, UniversalFile
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats, MeasuredModes, ModeSet
 from modetune.core.near_names import listed
 

@@ -2,12 +2,12 @@
 
 The real part is the logarithm of the ratio of amplitudes, the imaginary one the difference of
 phases in (-pi, pi]. Values and exact derivatives, d log H_c = dH_c / H_c, are those of
-`core/updating/superposition`. Dampers and loss factors of the model damp its modes; without them a
+`core/updating/frf_modes`. Dampers and loss factors of the model damp its modes; without them a
 mode has the damping ratio of the test mode that it is paired with. Given ratios, which may be
 parameters, replace those of the test, or are added to the dampers.
 
-Each part has the variance of log H by the measurement (`core/measurement/frf_lines`) and the square
-of `deviation`, for the error of the model's damping. A line that a resonance of the model still has
+Each part has the variance of the measured log H (`core/measurement/response_functions`) and the
+square of `deviation`, for the error of the model's damping. A line that a resonance of the model still has
 to pass has a bounded z, as logarithms do, and keeps its variance: with a lower weight, moving a
 resonance away from it would reduce the misfit.
 """
@@ -26,9 +26,10 @@ from scipy import sparse
 from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
-from modetune.core.measurement.frf import Complexes, frac
+from modetune.core.measurement.response_functions import Complexes, frac
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.damping import DampingModel, Linear
+from modetune.core.updating.damping_model import DampingModel, Linear
+from modetune.core.updating.frf_modes import REACH, FrfModes, near
 from modetune.core.updating.responses.response import (
     MatricesAt,
     ModelState,
@@ -37,7 +38,6 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
     residual_of,
 )
-from modetune.core.updating.superposition import REACH, FrfModes, near
 
 #: Returns the damping of a model with matrices of these equations.
 Dampers = Callable[[MatrixResult], DampingModel]

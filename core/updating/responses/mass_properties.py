@@ -1,7 +1,7 @@
 """Mass, centre of gravity and inertia of the model, as targets and as limits.
 
 With R the unit translations and rotations of the whole model at its equations, the mass of rigid
-motion M_r = R^T M R contains all of them (`core/correlation/mass_properties`), whether the
+motion M_r = R^T M R contains all of them (`core/correlation/rigid_body`), whether the
 structure is free or on springs. Its derivatives are R^T (dM/dtheta) R; those of the ten quantities
 follow by a complex step, exact to rounding:
 
@@ -21,7 +21,7 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 
 from modetune.core.algebra.matrices import projected, upper_product
-from modetune.core.correlation.mass_properties import rigid_body_of_mass
+from modetune.core.correlation.rigid_body import rigid_body_of_mass
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats
 from modetune.core.updating.responses.response import (

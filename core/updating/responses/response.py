@@ -29,9 +29,10 @@ from modetune.core.correlation.pairing import Pairing
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
-from modetune.core.updating.damping import GroupStiffness
+from modetune.core.updating.damping_model import GroupStiffness
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import Weighting
 
 #: What a response needs besides frequencies: shapes at the sensors and their derivatives; K, M and

@@ -1,7 +1,7 @@
 """Static displacements and strains under load cases: z = y_m - y_c, by K(theta) u = f.
 
-Values and exact derivatives come from `core/updating/static`. Under forces and pressure they depend
-only on stiffness, so together with frequencies they separate stiffness from mass. Forces of a deck
+Values and exact derivatives come from `core/updating/static_model`. Under forces and pressure they
+depend only on stiffness, so together with frequencies they separate stiffness from mass. Forces of a deck
 that follow its masses are read from it at each point; they are sums of products of few of its
 numbers (density, thickness), for which central differences are exact up to squares.
 """
@@ -25,7 +25,7 @@ from modetune.core.updating.responses.response import (
     residual_of,
 )
 from modetune.core.updating.rigid_motions import Observe
-from modetune.core.updating.static import LoadCase, Reading, StaticModel
+from modetune.core.updating.static_model import LoadCase, Reading, StaticModel
 
 #: Relative step of the differences: their error is its square for a cubic, 1e-12 by rounding.
 STEP = 1e-3

@@ -13,11 +13,11 @@ from modetune.core.algebra.eigen import DENSE, most_vectors, similar_vectors
 from modetune.core.algebra.factor_room import factor_forecast
 from modetune.core.algebra.pardiso import is_available
 from modetune.core.algebra.pencil import shifted_pattern
-from modetune.core.correlation.mass_properties import RigidBody, rigid_body_of_modes
+from modetune.core.correlation.rigid_body import RigidBody, rigid_body_of_modes
 from modetune.core.errors import ModelError, ModesError, SolverExhausted
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
 from modetune.flows.campaign.schema import ModelCheck

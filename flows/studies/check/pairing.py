@@ -14,19 +14,17 @@ from typing import Annotated
 import numpy as np
 
 from modetune.core.correlation.correlation import mac, subspace_mac
-from modetune.core.correlation.matching import (
-    PairRules,
-    beyond,
-    first_pairing,
-    reach_text,
-    uncertain_pairs,
-)
 from modetune.core.correlation.pairing import (
     LOST_MAC,
     RESOLUTION,
     Pairing,
+    PairRules,
+    beyond,
     close_modes,
+    first_pairing,
     mac_or_zero,
+    reach_text,
+    uncertain_pairs,
 )
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs

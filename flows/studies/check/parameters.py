@@ -9,8 +9,8 @@ import numpy as np
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import DAMPING, QUANTITIES, Parameter
-from modetune.core.updating.judgement import NOTHING, UNSEEN_SHARE
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.trust import NOTHING, UNSEEN_SHARE
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.studies.check.findings import PARAMETERS, Finding

@@ -18,8 +18,8 @@ from modetune.core.correlation.pairing import alone
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import QUANTITIES
-from modetune.core.storage.record import RunCounts
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import RunCounts
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.campaign_engine import job_engine

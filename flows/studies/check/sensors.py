@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.core.correlation.correlation import Shapes
-from modetune.core.correlation.sensor_errors import SensorError, sensor_errors
-from modetune.core.correlation.turned_axes import turned_axes
+from modetune.core.correlation.sensor_errors import SensorError, sensor_errors, turned_axes
 from modetune.core.errors import ModesError
-from modetune.core.measurement.sensors import SensorMap
+from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, common_dofs
 from modetune.core.near_names import listed
 from modetune.flows.campaign.campaign import Campaign

@@ -23,8 +23,8 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import ModeSet, common_dofs
 from modetune.core.parameters import Values
-from modetune.core.storage.record_file import is_record, read_record
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import is_record, read_record
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.sketch import YAML, is_deck, open_model
 from modetune.flows.campaign.test import tracking_nodes

@@ -26,7 +26,7 @@ from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import Floats, Integers, ModeSet, Normalisation, mode_set
 from modetune.core.parameters import Values
-from modetune.core.updating.direct import (
+from modetune.core.updating.direct_update import (
     DirectUpdate,
     LowRankChange,
     ReferenceModes,

@@ -29,6 +29,7 @@ from modetune.adapters.solver import (
     SensitivityAnalysis,
 )
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import (
     LicenceDenied,
     ModetuneError,
@@ -38,7 +39,8 @@ from modetune.core.errors import (
     SolverRejected,
 )
 from modetune.core.modes import Floats, Integers
-from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.updating.job_results import ModalResult, Result
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job

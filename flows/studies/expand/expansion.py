@@ -36,13 +36,13 @@ from modetune.core.condensation.reduction import Reduction, dynamic, irs
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.measurement.sensors import global_directions
+from modetune.core.measurement.sensor_map import global_directions
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.near_names import named
 from modetune.core.parameters import Values
 from modetune.core.storage.files import check_writable
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
 from modetune.flows.campaign.units import METRES

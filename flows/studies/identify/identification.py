@@ -19,7 +19,6 @@ from modetune.core.brief import brief
 from modetune.core.correlation.complexity import DOUBTFUL, modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes, Response, frac
 from modetune.core.measurement.measurement import MeasuredFrfs, TestGeometry
 from modetune.core.measurement.modal_fit import (
     ModalFit,
@@ -30,6 +29,7 @@ from modetune.core.measurement.modal_fit import (
     unexplained_peaks,
     unit_mass_factors,
 )
+from modetune.core.measurement.response_functions import Complexes, Response, frac
 from modetune.core.measurement.stabilisation import (
     Criteria,
     OrderPoles,

@@ -20,8 +20,8 @@ from modetune.core.brief import brief
 from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import Complexes
 from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.measurement.stabilisation import (
     OrderPoles,
     Stability,

@@ -17,8 +17,7 @@ from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.core.storage.record import RunCounts
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import RunCounts, read_record
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign

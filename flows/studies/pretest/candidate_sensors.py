@@ -12,7 +12,7 @@ from modetune.adapters.solver import Solver
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
-from modetune.core.planning.spacing import Bools, Spacing
+from modetune.core.planning.sensor_placement import Bools, Spacing
 from modetune.core.surface import display_surface
 from modetune.flows.studies.pretest.request import Directions
 

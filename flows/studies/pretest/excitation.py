@@ -10,13 +10,13 @@ from modetune.core.correlation.pairing import CLUSTER
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, ModeSet
-from modetune.core.planning.excitation import (
+from modetune.core.planning.exciter_placement import (
     choose_exciters,
     choose_suspension,
     participation,
     rigid_mass,
 )
-from modetune.core.planning.spacing import Spacing
+from modetune.core.planning.sensor_placement import Spacing
 from modetune.flows.campaign.units import KILOGRAMS, Units
 from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 

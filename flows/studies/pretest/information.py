@@ -18,8 +18,8 @@ from modetune.core.correlation.pairing import alone
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers
-from modetune.core.planning.placement import parameter_information
-from modetune.core.updating.results import ModalResult
+from modetune.core.planning.sensor_placement import parameter_information
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.weighting import even_weighting
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection

@@ -9,20 +9,20 @@ import numpy as np
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, Integers, ModeSet
-from modetune.core.planning.effective_independence import independence
-from modetune.core.planning.placement import (
+from modetune.core.planning.sensor_placement import (
     ALIKE,
     Quality,
+    Spacing,
     by_auto_mac,
     by_effective_independence,
     by_information,
     by_kinetic_energy,
+    independence,
     judge,
     kinetic_energies,
     needed_sensors,
     with_modes,
 )
-from modetune.core.planning.spacing import Spacing
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.pretest.candidate_sensors import CandidateSensors
 from modetune.flows.studies.pretest.information import Information

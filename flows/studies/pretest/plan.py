@@ -16,14 +16,15 @@ import numpy as np
 
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.adapters.test_files.geometry_csv import write_geometry_csv
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.core.planning.placement import ALIKE, Quality, judge
-from modetune.core.storage.record import RunCounts
-from modetune.core.updating.results import MatrixResult, ModalResult
+from modetune.core.planning.sensor_placement import ALIKE, Quality, judge
+from modetune.core.storage.campaign_record import RunCounts
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import EXTRA_MODES, RIGID_MODES
 from modetune.flows.campaign.units import METRES, Units

@@ -18,7 +18,7 @@ from modetune.flows.studies.result import StudyResult, near
 from modetune.flows.studies.study import CampaignOptions, Opened, study
 
 if TYPE_CHECKING:
-    from modetune.core.planning.placement import Quality
+    from modetune.core.planning.sensor_placement import Quality
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.pretest.plan import Pretest
 

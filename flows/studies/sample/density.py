@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
-from modetune.core.updating.estimation import parameter_covariance
+from modetune.core.updating.parameter_steps import parameter_covariance
 from modetune.flows.studies.sample.surrogate import ResponseLimits
 
 #: End points are distinct peaks where the log density falls by this much between them.

@@ -13,8 +13,8 @@ from modetune import __version__
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.planning.latin_hypercube import latin_hypercube
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine

@@ -24,7 +24,7 @@ def sample(on: Opened, request: SamplingRequest, record: Record = None) -> Study
     Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
     Ends with exit code 3 where the posterior cannot be relied on.
     """
-    from modetune.core.storage.record_file import read_record
+    from modetune.core.storage.campaign_record import read_record
     from modetune.flows.studies.sample.figures import posterior_figures
     from modetune.flows.studies.sample.posterior import sample_campaign
     from modetune.flows.studies.sample.record import POSTERIOR

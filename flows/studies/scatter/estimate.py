@@ -18,9 +18,9 @@ import numpy as np
 
 from modetune import __version__
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.scatter import scatter_of
+from modetune.core.measurement.repeated_tests import scatter_of
 from modetune.core.modes import Floats
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.parameter_scatter import (
     EXACT,
     Beforehand,

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from modetune.core.brief import brief
 from modetune.core.modes import Floats
-from modetune.core.storage.record import RunCounts
-from modetune.core.storage.record_file import RecordFile
-from modetune.core.updating.reduced_range import RangeUse
+from modetune.core.storage.campaign_record import RunCounts
+from modetune.core.storage.sealed_file import RecordFile
+from modetune.core.updating.reduced_model import RangeUse
 
 
 @dataclass(frozen=True, slots=True, repr=False)

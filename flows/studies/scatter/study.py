@@ -15,7 +15,7 @@ def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> Study
     Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be
     relied on.
     """
-    from modetune.core.storage.record_file import read_record
+    from modetune.core.storage.campaign_record import read_record
     from modetune.flows.studies.scatter.estimate import scatter_campaign
     from modetune.flows.studies.scatter.figures import scatter_charts
     from modetune.flows.studies.scatter.record import SCATTER

@@ -18,7 +18,7 @@ from modetune.core.correlation.pairing import Pairing, pair_by_shape
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import EXTRA_MODES
 from modetune.flows.campaign.test import tracking_nodes

@@ -22,11 +22,11 @@ from functools import partial
 import numpy as np
 
 from modetune.core.brief import brief
-from modetune.core.correlation.held_out import HeldOut, join_held_out, together
+from modetune.core.correlation.holdout import HeldOut, join_held_out, together
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats, mode_name
+from modetune.core.storage.campaign_record import CampaignRecord, RunCounts
 from modetune.core.storage.files import check_writable
-from modetune.core.storage.record import CampaignRecord, RunCounts
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine

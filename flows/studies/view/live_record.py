@@ -7,9 +7,8 @@ import time
 from pathlib import Path
 
 from modetune.core.errors import ModetuneError
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.core.storage.keys import Json
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.job import NOTE_FILE, read_note
 from modetune.flows.jobs.progress import PROGRESS_FILE

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from modetune.core.errors import ModesError, NotStored
 from modetune.core.storage.keys import Json
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.jobs.job import Job

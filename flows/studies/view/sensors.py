@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from modetune.adapters.yaml_file import Place
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.alignment import Alignment
 from modetune.core.measurement.closest_points import SurfacePoints
 from modetune.core.measurement.measurement import TestGeometry
-from modetune.core.measurement.registration import refined
+from modetune.core.measurement.registration import Alignment, refined
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json

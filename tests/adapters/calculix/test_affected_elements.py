@@ -12,8 +12,8 @@ from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.mesh import read_mesh
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import AffectedElements, MatrixAnalysis
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.parameters import Quantity
-from modetune.core.updating.results import MatrixResult
 from tests.adapters.calculix.test_model import parameter
 from tests.adapters.ccx_decks import (
     MATERIAL,

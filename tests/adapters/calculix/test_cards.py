@@ -15,7 +15,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
 from tests.adapters.calculix.test_model import model_of, parameter
 from tests.adapters.ccx_decks import MATERIAL, attached, beams

@@ -15,7 +15,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_model import model_of, parameter
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_solver_contract import run

@@ -10,9 +10,10 @@ from scipy import linalg, sparse
 
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, Solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.observation import Observation
-from modetune.core.updating.results import MatrixResult, ModalResult
 from tests.adapters.ccx_decks import (
     attached,
     bar,

@@ -12,7 +12,7 @@ from modetune.adapters.calculix.job import spare_unknowns
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.calculix.structure import understand
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_model import parameter
 from tests.adapters.solved import needs_ccx
 from tests.adapters.test_rigid_modes import STEEL, plate, solved

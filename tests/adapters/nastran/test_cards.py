@@ -19,7 +19,7 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, ParameterSet, frequency_reach
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.nastran.test_model import parameter
 from tests.adapters.test_solver_contract import run
 

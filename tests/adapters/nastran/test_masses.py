@@ -12,9 +12,9 @@ from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import MatrixAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
-from modetune.core.updating.results import MatrixResult
 from tests.adapters.solved import Binder, needs_ccx, needs_mystran, solved
 from tests.adapters.test_solver_contract import run
 

@@ -18,11 +18,12 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
 from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import NoResult
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, Quantity
-from modetune.core.updating.matrix_samples import ROUNDING, differences
-from modetune.core.updating.results import MatrixResult, ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
+from modetune.core.updating.parameter_matrices import ROUNDING, differences
 from tests.adapters.mystran_decks import AVERAGED, CARRIED, PINNED, bracket, frame, plate
 from tests.adapters.solved import needs_mystran
 

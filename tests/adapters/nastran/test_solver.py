@@ -55,7 +55,8 @@ from modetune.core.errors import (
 from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
 from modetune.core.storage.keys import canonical_json
 from modetune.core.storage.store import Store
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import MachineLimits

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from hypothesis import strategies as st
 
-from modetune.core.measurement.frf import Response
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
+from modetune.core.measurement.response_functions import Response
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 
 KINDS: tuple[Response, ...] = ("receptance", "mobility", "accelerance")

@@ -17,7 +17,7 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
 from tests.adapters.test_files.measured_tests import Wanted, made, wanted_tests
-from tests.core.storage.test_seal import resealed
+from tests.core.storage.test_sealed_file import resealed
 
 TEXT = st.characters(codec="utf-8", exclude_characters="\0")
 

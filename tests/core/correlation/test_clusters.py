@@ -18,7 +18,7 @@ from modetune.core.correlation.clusters import (
 from modetune.core.correlation.pairing import Pairing, pair_by_shape
 from modetune.core.modes import CLOSE, Floats, ModeSet, close_sets, mode_set
 from modetune.core.updating.responses.response import Residual
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from tests.core.updating.compared import residual, residual_sensitivity
 

@@ -12,7 +12,7 @@ from modetune.core.correlation.complexity import (
     modal_phase_collinearity,
     real_shapes,
 )
-from modetune.core.measurement.frf import Complexes
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import Floats
 
 entries = st.floats(-1e3, 1e3, allow_subnormal=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modetune.core.correlation.turned_axes import turn_name, turned_axes, turns
+from modetune.core.correlation.sensor_errors import turn_name, turned_axes, turns
 from modetune.core.modes import Floats
 
 #: Motions of twelve points in space in five modes, whatever moves so.

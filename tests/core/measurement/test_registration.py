@@ -9,9 +9,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.alignment import Registration
 from modetune.core.measurement.closest_points import SurfacePoints, closest_of
-from modetune.core.measurement.registration import register
+from modetune.core.measurement.registration import Registration, register
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.surface import facets

@@ -7,7 +7,6 @@ import pytest
 
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError, ModesError
-from modetune.core.measurement.frf import Complexes, NormalModes, Response, modal_frf
 from modetune.core.measurement.modal_fit import (
     fit_residues,
     mode_shares,
@@ -16,6 +15,7 @@ from modetune.core.measurement.modal_fit import (
     unexplained_peaks,
     unit_mass_factors,
 )
+from modetune.core.measurement.response_functions import Complexes, NormalModes, Response, modal_frf
 from modetune.core.measurement.stabilisation import (
     Criteria,
     OrderPoles,

@@ -19,8 +19,7 @@ from scipy import sparse
 
 from modetune.core.errors import ModesError, StoreDamaged
 from modetune.core.modes import Floats, Integers
-from modetune.core.storage.codec import read_value, write_value
-from modetune.core.storage.members import COMPRESSED_BYTES
+from modetune.core.storage.codec import COMPRESSED_BYTES, read_value, write_value
 
 
 class Colour(Enum):

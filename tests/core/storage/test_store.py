@@ -13,25 +13,21 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError, StorageUnavailable
 from modetune.core.modes import mode_set
 from modetune.core.storage.files import writing
 from modetune.core.storage.keys import Json, canonical_json, content_key
-from modetune.core.storage.seal import read_head, sealed
+from modetune.core.storage.sealed_file import read_head, sealed
 from modetune.core.storage.store import TITLE, Entry, Holding, Store
+from modetune.core.updating.job_results import ModalResult, Result, finite
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
     parameter_matrices,
 )
-from modetune.core.updating.reduced import ReducedModel, ReducedPart
-from modetune.core.updating.results import (
-    MatrixResult,
-    ModalResult,
-    ModeDerivatives,
-    Result,
-    finite,
-)
+from modetune.core.updating.reduced_model import ReducedModel, ReducedPart
+from modetune.core.updating.sensitivity import ModeDerivatives
 
 KEY = "ab" + "0" * 62
 

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import StorageUnavailable
 from modetune.core.modes import mode_set
-from modetune.core.storage.seal import BLOCK
+from modetune.core.storage.sealed_file import BLOCK
 from modetune.core.storage.store import Entry, Store
-from modetune.core.updating.results import MatrixResult, ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.core.storage.test_store import holdings, matrices
 
 KEYS = 200

@@ -13,7 +13,7 @@ from modetune.core.updating.responses.response import (
     StateDerivatives,
 )
 from modetune.core.updating.responses.shapes import Shapes
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import Weighting
 
 

@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.core.updating.estimation import (
-    LinearForm,
-    StepProblem,
-    parameter_covariance,
-    parameter_step,
-)
 from modetune.core.updating.identifiability import (
     Identifiability,
     collinearity,
     identifiability,
     remaining_step,
+)
+from modetune.core.updating.parameter_steps import (
+    LinearForm,
+    StepProblem,
+    parameter_covariance,
+    parameter_step,
 )
 
 

@@ -18,7 +18,7 @@ from modetune.core.updating.model_form import (
     shares_left,
 )
 from modetune.core.updating.responses.response import Residual
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from tests.core.updating.compared import residual, residual_sensitivity
 

@@ -17,10 +17,10 @@ from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import MatrixResult, projected, symmetric, upper_product
 from modetune.core.errors import ModelError, SolverExhausted
 from modetune.core.modes import Floats
-from modetune.core.updating.matrix_samples import differences
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     Powers,
+    differences,
     fit_powers,
     parameter_matrices,
 )

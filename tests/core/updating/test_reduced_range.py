@@ -9,8 +9,8 @@ from scipy.stats import qmc
 
 from modetune.core.modes import Floats
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.reduced_range import ReducedRange, reduce_over
-from tests.core.updating.test_reduced import MODELS, Full
+from modetune.core.updating.reduced_model import ReducedRange, reduce_over
+from tests.core.updating.test_reduced_model import MODELS, Full
 
 ACCURACY = 1e-6
 

@@ -12,14 +12,17 @@ import pytest
 from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.storage.codec import read_value, write_value
-from modetune.core.updating.estimation import LCurve
 from modetune.core.updating.identifiability import identifiability
-from modetune.core.updating.judgement import (
+from modetune.core.updating.parameter_steps import LCurve
+from modetune.core.updating.trust import (
+    StartSpread,
+    Trust,
     combination_sentences,
     judge_parameters,
     trust_sentences,
+    with_concerns,
+    with_spread,
 )
-from modetune.core.updating.trust import StartSpread, Trust, with_concerns, with_spread
 
 
 def trust(

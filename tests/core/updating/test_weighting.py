@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.modes import ModeSet, mode_set
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import Weighting, even_weighting, weighting_side_by_side
 from tests.core.updating.compared import residual, residual_sensitivity
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 from tests.command_line import run_command as run
-from tests.core.storage.test_seal import damages
+from tests.core.storage.test_sealed_file import damages
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 COMMANDS = (

@@ -21,7 +21,7 @@ from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverRejected
 from modetune.core.parameters import Values
 from modetune.core.storage.keys import content_key
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs import job as jobs

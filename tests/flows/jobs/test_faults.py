@@ -24,11 +24,13 @@ import numpy as np
 import pytest
 
 from modetune.adapters.solver import Analysis, Command, Rendered, Solver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModetuneError, NoResult, SolverError
 from modetune.core.parameters import Values
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.store import Store
-from modetune.core.updating.results import MatrixResult, ModalResult, ModeDerivatives, Result
+from modetune.core.updating.job_results import ModalResult, Result
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.campaign.site import RetriesSection, RunSection

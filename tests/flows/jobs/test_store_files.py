@@ -11,7 +11,7 @@ import pytest
 
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs.store_files import (
     beside,
     campaigns_running,

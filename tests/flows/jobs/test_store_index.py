@@ -20,7 +20,7 @@ from modetune.core.storage.files import machine_user
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs import store_index
 from modetune.flows.jobs.explain import AskedJob, asked_of, differences
 from modetune.flows.jobs.job import JobNote

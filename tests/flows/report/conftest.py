@@ -13,7 +13,12 @@ from modetune.core.correlation.pairing import Pairing
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
-from modetune.core.storage.record import CampaignRecord, IterationRecord, RunCounts, SensorPlaces
+from modetune.core.storage.campaign_record import (
+    CampaignRecord,
+    IterationRecord,
+    RunCounts,
+    SensorPlaces,
+)
 from modetune.core.surface import Surface
 from modetune.core.updating.responses.response import residual_of
 from tests.node_sensors import by_number

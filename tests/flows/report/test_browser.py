@@ -13,7 +13,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from modetune.core.modes import ModeSet, mode_set
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.surface import Surface
 from modetune.flows.report.page import write_page, write_study
 from modetune.flows.report.tables import Column, Table

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.report.campaign_charts import campaign_charts
 from modetune.flows.report.chart import Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, chart_json
 from modetune.flows.report.matplotlib_charts import matplotlib_figure

@@ -9,7 +9,7 @@ import pytest
 
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.modes import common_dofs, mode_set
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.report.comparison import (
     fresh_matrices,
     mac_table,

@@ -15,8 +15,7 @@ import pytest
 
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import ParameterSet
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record, write_record
+from modetune.core.storage.campaign_record import CampaignRecord, read_record, write_record
 from modetune.flows import report
 from modetune.flows.report.chart import AFTER, BEFORE
 from modetune.flows.report.page import page, write_page

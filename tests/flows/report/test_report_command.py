@@ -10,8 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modetune.core.errors import CampaignError
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import write_record
+from modetune.core.storage.campaign_record import CampaignRecord, write_record
 from modetune.flows.cli.main import app
 from modetune.flows.report.campaign_charts import campaign_charts
 from modetune.flows.report.matplotlib_charts import save_all

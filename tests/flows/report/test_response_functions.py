@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.measurement.response_functions import NormalModes, modal_frf
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.report.page import page
 from modetune.flows.report.response_functions import response_pairs
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.report.iteration_tables import run_table
 from modetune.flows.report.mode_tables import ModeRow, mode_rows, mode_table
 from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows, parameter_table

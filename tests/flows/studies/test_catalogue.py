@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import modetune
 from modetune.core.errors import CampaignError
-from modetune.core.updating.direct import Filling as CoreFilling
+from modetune.core.updating.direct_update import Filling as CoreFilling
 from modetune.flows.cli.command import command_of
 from modetune.flows.cli.identify import identify
 from modetune.flows.cli.init import init

@@ -21,12 +21,12 @@ from modetune.configs.cases import write_case
 from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.correlation import rigid_body_shapes
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.alignment import Alignment
 from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.registration import Alignment
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import Quantity
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.mapping import SensorRow
 from modetune.flows.campaign.schema import SensitivitySection, UpdateSection
 from modetune.flows.cli.command import command_of

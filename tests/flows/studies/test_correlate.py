@@ -24,7 +24,7 @@ from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.errors import CampaignError, ModesError, ModetuneError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import MeasuredModes, ModeSet, dof_name, mode_set
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.cli.command import command_of
 from modetune.flows.report.matplotlib_charts import matplotlib_figure, save_all
 from modetune.flows.studies.catalogue import find_study
@@ -500,7 +500,7 @@ def test_large_matrices_are_drawn_without_numbers_and_without_shapes_little_is(
 
 
 def test_records_hold_all_elastic_modes(run_folder: Path) -> None:
-    from modetune.core.storage.record_file import read_record
+    from modetune.core.storage.campaign_record import read_record
 
     record: CampaignRecord = read_record(run_folder / "campaign.h5")
     found = correlate_sources(source(run_folder), None)

@@ -17,8 +17,8 @@ from modetune.adapters.test_files.modes_csv import read_modes_csv
 from modetune.adapters.test_files.universal.file import write_universal
 from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.frf import NormalModes, Response, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.response_functions import NormalModes, Response, modal_frf
 from modetune.core.measurement.stabilisation import Criteria
 from modetune.core.modes import Floats
 from modetune.flows.studies.identify.figures import write_figures

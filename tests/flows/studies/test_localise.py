@@ -16,9 +16,9 @@ from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import mode_set
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 from modetune.core.surface import Surface
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.command import command_of
 from modetune.flows.jobs.campaign_engine import job_engine

@@ -11,7 +11,7 @@ import pytest
 
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Quantity
-from modetune.core.storage.record import RunCounts
+from modetune.core.storage.campaign_record import RunCounts
 from modetune.flows.campaign.campaign import Campaign, load_campaign, load_model
 from modetune.flows.studies.check.pre_check import PreCheckReport, check_campaign
 from modetune.flows.studies.pretest.plan import Pretest, run_pretest

@@ -17,7 +17,7 @@ from modetune.adapters.solver import Solver
 from modetune.core.errors import CampaignError, NoResult, StorageUnavailable
 from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import Floats
-from modetune.core.storage.record_file import write_record
+from modetune.core.storage.campaign_record import write_record
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.paraview import paraview as paraview_command
 from modetune.flows.studies.paraview import (

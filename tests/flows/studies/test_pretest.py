@@ -20,7 +20,7 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.configs.garteur.aircraft import write_decks
 from modetune.core.errors import CampaignError, SolverRejected
 from modetune.core.modes import Floats
-from modetune.core.planning.placement import judge
+from modetune.core.planning.sensor_placement import judge
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.cli.command import command_of

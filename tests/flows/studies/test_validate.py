@@ -14,13 +14,12 @@ import pytest
 from rich.console import Console
 from scipy.optimize import brentq
 
-from modetune.core.correlation.held_out import LOST, judge_held_out, pair_held_out, track_held_out
+from modetune.core.correlation.holdout import LOST, judge_held_out, pair_held_out, track_held_out
 from modetune.core.correlation.pairing import pair_by_order, pair_by_shape
 from modetune.core.errors import CampaignError, SolverCrashed
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import Values
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.mode_tables import held_out_lines, held_out_table
 from modetune.flows.report.page import page

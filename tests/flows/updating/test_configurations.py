@@ -13,8 +13,7 @@ import pytest
 from modetune.core.errors import CampaignError, SolverCrashed
 from modetune.core.modes import MeasuredModes, mode_name
 from modetune.core.parameters import ParameterSet, Values
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import Case, node_base, whole_test
 from modetune.flows.campaign.schema import SensitivitySection

@@ -15,7 +15,7 @@ from modetune.core.algebra import pencil
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import SolverExhausted
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating import mode_source, solutions

@@ -22,9 +22,8 @@ from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.errors import CampaignError
 from modetune.core.modes import ModeSet, mode_set
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.campaign_charts import campaign_charts

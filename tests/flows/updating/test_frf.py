@@ -15,11 +15,11 @@ from scipy.linalg import eigh
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.universal.file import write_universal
-from modetune.core.measurement.frf import Complexes, NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.response_functions import Complexes, NormalModes, modal_frf
 from modetune.core.modes import Floats, MeasuredModes, mode_set
-from modetune.core.storage.record_file import read_record
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import read_record
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.report.response_functions import response_pairs
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command

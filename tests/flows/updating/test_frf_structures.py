@@ -13,10 +13,10 @@ import pytest
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.universal.file import write_universal
-from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.response_functions import NormalModes, modal_frf
 from modetune.core.modes import Floats, MeasuredModes, mode_set
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.test_solver_contract import run
 from tests.flows.updating.test_frf import updated
 

@@ -16,8 +16,8 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.parameters import Parameter
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import plate as shells

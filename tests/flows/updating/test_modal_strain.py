@@ -14,7 +14,7 @@ from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.modes import Floats
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.ccx_decks import bar
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command

@@ -15,8 +15,8 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.parameters import Parameter
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.updating.results import ModalResult
+from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.mode_source import by_solver, modes_source

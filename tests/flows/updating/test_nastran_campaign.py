@@ -14,7 +14,7 @@ import pytest
 
 from modetune.configs.cases import write_case
 from modetune.core.errors import CampaignError
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.check.model import size_findings
 from modetune.flows.studies.twin.solver_modes import run_twin

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import modetune
-from modetune.core.correlation.matching import NotAmongComputed, UncertainPairs
-from modetune.core.correlation.pairing import LostMode
+from modetune.core.correlation.pairing import LostMode, NotAmongComputed, UncertainPairs
 from modetune.core.errors import CampaignError
 
 #: Oscillators that share nothing: the fifth stands for a mode in the plane, which the test finds

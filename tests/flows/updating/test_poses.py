@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from modetune.core.errors import CampaignError
-from modetune.core.measurement.alignment import Alignment
+from modetune.core.measurement.registration import Alignment
 from modetune.core.modes import MeasuredModes, mode_set
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.request import SamplingRequest

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.updating.record import _deck_digest, unfinished_record
 from tests.core.storage.test_record import record

@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 from modetune.core.errors import CampaignError
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.report.parameter_tables import parameter_rows
 from modetune.flows.updating.mode_source import model_modes, parse_values

@@ -12,7 +12,7 @@ import pytest
 from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.pencil import Pencil
 from modetune.core.errors import ModetuneError
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 import modetune
 from modetune.core.modes import Floats
-from modetune.core.updating.judgement import trust_sentences
+from modetune.core.updating.trust import trust_sentences
 
 #: Nominal storey stiffness, N/m, and mass of a storey, kg, of the frame in the shared data.
 STIFFNESS, MASS = 9106.39, 0.1122

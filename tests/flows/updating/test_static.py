@@ -12,7 +12,7 @@ import pytest
 
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
-from modetune.core.updating.results import ModalResult
+from modetune.core.updating.job_results import ModalResult
 from tests.adapters.ccx_decks import MATERIAL, bar
 from tests.adapters.test_solver_contract import run
 from tests.command_line import run_command

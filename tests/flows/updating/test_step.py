@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 
 import modetune
 from modetune.core.modes import Floats
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.schema import E1Section, SensitivitySection, UpdateSection
 from modetune.flows.updating.update import update_campaign
 

@@ -22,10 +22,10 @@ from modetune.core.algebra import vector_room
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.parameters import Parameter, Quantity, Values
-from modetune.core.storage.record import CampaignRecord
+from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.storage.store import Store
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved

@@ -13,11 +13,9 @@ import pytest
 from rich.console import Console
 
 from modetune.core.modes import MeasuredModes
-from modetune.core.storage.record import IterationRecord
-from modetune.core.storage.record_file import read_record
-from modetune.core.updating.estimation import StepForm
-from modetune.core.updating.judgement import trust_sentences
-from modetune.core.updating.trust import Trust
+from modetune.core.storage.campaign_record import IterationRecord, read_record
+from modetune.core.updating.parameter_steps import StepForm
+from modetune.core.updating.trust import Trust, trust_sentences
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import E1Section, UpdateSection
 from modetune.flows.report.page import page, prose

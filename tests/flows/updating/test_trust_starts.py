@@ -15,8 +15,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from modetune.core.errors import SolverRejected
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.schema import E1Section, ReportSection, UpdateSection
 from modetune.flows.report.page import page

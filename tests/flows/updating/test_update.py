@@ -20,8 +20,7 @@ from modetune.core.errors import (
     SolverCrashed,
     SolverRejected,
 )
-from modetune.core.storage.record import CampaignRecord
-from modetune.core.storage.record_file import read_record
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.flows.campaign.schema import E1Section, SensitivitySection, UpdateSection
 from modetune.flows.campaign.site import RunSection
 from modetune.flows.jobs.job import Job

@@ -11,7 +11,7 @@ from scipy import linalg, sparse
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import MeasuredModes, mode_set
 from modetune.core.updating.damped_pairs import DampedPairs
-from modetune.core.updating.damping import Damper, DampingModel, Linear
+from modetune.core.updating.damping_model import Damper, DampingModel, Linear
 from modetune.core.updating.parameter_matrices import Powers, parameter_matrices
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
 from modetune.core.updating.responses.response import MatricesAt

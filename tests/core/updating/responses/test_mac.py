@@ -9,7 +9,7 @@ from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.modes import Floats, ModeSet, mode_set
 from modetune.core.updating.responses.mac import Mac, MacQuantity
 from modetune.core.updating.responses.response import ModelState, StateDerivatives
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from tests.core.updating.compared import state_of
 

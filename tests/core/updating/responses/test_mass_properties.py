@@ -28,7 +28,7 @@ from modetune.core.updating.responses.mass_properties import (
     MassTarget,
 )
 from modetune.core.updating.responses.response import MatricesAt, ModelState, StateDerivatives
-from modetune.core.updating.results import ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from tests.adapters.ccx_decks import attached, plate, wall
 from tests.adapters.test_solver_contract import run

@@ -9,9 +9,10 @@ import pytest
 
 from modetune.core.correlation.pairing import pair_by_order
 from modetune.core.modes import Floats, mode_set
+from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.responses.modal_strain import Gauge, ModalStrain, StrainScale
 from modetune.core.updating.responses.response import ModelState, StateDerivatives
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.core.updating.weighting import even_weighting
 from tests.core.updating.compared import state_of
 

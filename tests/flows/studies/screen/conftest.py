@@ -13,7 +13,7 @@ from modetune.core.errors import SolverRejected
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.core.parameters import Values
-from modetune.core.updating.results import ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, recased

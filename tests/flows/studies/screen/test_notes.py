@@ -12,7 +12,7 @@ import pytest
 from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import ModesError
 from modetune.core.parameters import Values
-from modetune.core.updating.results import ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 from modetune.flows.studies.screen import summary as screen_summary
 from modetune.flows.studies.screen.record import Screening
 from modetune.flows.studies.screen.request import ScreeningRequest

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from modetune.core.errors import CampaignError
-from modetune.core.storage.record import RunCounts
+from modetune.core.storage.campaign_record import RunCounts
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.studies.screen.choice import ChosenParameters, ParameterVerdict
 from modetune.flows.studies.screen.design import Design

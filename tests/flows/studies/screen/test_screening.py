@@ -17,7 +17,7 @@ from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Values
-from modetune.core.updating.results import ModalResult, Result
+from modetune.core.updating.job_results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Piece, PoolRunner, Task

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
 from modetune.adapters.test_files.modes_csv import write_modes_csv
-from modetune.core.measurement.frf import NormalModes, modal_frf
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
+from modetune.core.measurement.response_functions import NormalModes, modal_frf
 from modetune.core.modes import Floats, Integers, mode_set
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating.mode_source import model_modes
