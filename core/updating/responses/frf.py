@@ -7,9 +7,9 @@ mode has the damping ratio of the test mode that it is paired with. Given ratios
 parameters, replace those of the test, or are added to the dampers.
 
 Each part has the variance of the measured log H (`core/measurement/response_functions`) and the
-square of `deviation`, for the error of the model's damping. A line that a resonance of the model still has
-to pass has a bounded z, as logarithms do, and keeps its variance: with a lower weight, moving a
-resonance away from it would reduce the misfit.
+square of `deviation`, for the error of the model's damping. A line that a resonance of the model
+still has to pass has a bounded z, as logarithms do, and keeps its variance: with a lower weight,
+moving a resonance away from it would reduce the misfit.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Static displacements and strains under load cases: z = y_m - y_c, by K(theta) u = f.
 
 Values and exact derivatives come from `core/updating/static_model`. Under forces and pressure they
-depend only on stiffness, so together with frequencies they separate stiffness from mass. Forces of a deck
-that follow its masses are read from it at each point; they are sums of products of few of its
-numbers (density, thickness), for which central differences are exact up to squares.
+depend only on stiffness, so together with frequencies they separate stiffness from mass. Forces of
+a deck that follow its masses are read from it at each point; they are sums of products of few of
+its numbers (density, thickness), for which central differences are exact up to squares.
 """
 
 from __future__ import annotations
