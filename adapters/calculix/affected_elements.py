@@ -19,7 +19,7 @@ import numpy as np
 from modetune.adapters.calculix.cards import ACROSS, CARDS, constant_places
 from modetune.adapters.calculix.constraints import read_constraints
 from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, read_number
-from modetune.adapters.calculix.mesh import EXPANDED, Incidence, roles_of
+from modetune.adapters.calculix.mesh import EXPANDED, roles_of
 from modetune.adapters.calculix.structure import DEPENDENT, CalculixStructure
 from modetune.adapters.solver import AffectedElements
 from modetune.core.errors import ModelError
@@ -43,7 +43,6 @@ Place = tuple[int, int]
 
 def affected_elements_of(
     structure: CalculixStructure,
-    incidence: Incidence,
     geometry: Mesh,
     places: Collection[Place],
     powers: tuple[int, ...] = (1,),
@@ -64,7 +63,7 @@ def affected_elements_of(
     if across and not (
         len(rows) == 1
         and all(_one_power(card, places) for card in cards)
-        and _keeps_knots(structure, incidence, geometry, cards)
+        and _keeps_knots(structure, geometry, cards)
     ):
         return None
     sets = {name for card in cards for name in _sets(structure, card)}
@@ -72,7 +71,7 @@ def affected_elements_of(
     elements = frozenset[int]().union(*(members.get(name, frozenset()) for name in sets))
     return AffectedElements(
         elements=elements,
-        nodes=_with_tied(structure, incidence.nodes(elements)),
+        nodes=_with_tied(structure, structure.mesh.nodes_of(elements)),
         stiffness=any("K" in row.moves for row in rows),
         mass=any("M" in row.moves for row in rows),
         powers=ACROSS if across else powers,
@@ -237,7 +236,7 @@ def _layered(structure: CalculixStructure, sets: Collection[str]) -> bool:
 
 
 def _keeps_knots(
-    structure: CalculixStructure, incidence: Incidence, geometry: Mesh, cards: Sequence[KeywordCard]
+    structure: CalculixStructure, geometry: Mesh, cards: Sequence[KeywordCard]
 ) -> bool:
     """Whether shells of these sections meet no others of the same thickness about in their plane.
 
@@ -247,31 +246,31 @@ def _keeps_knots(
     members = structure.mesh.element_sets
     sets = [members.get(card.option("ELSET"), frozenset[int]()) for card in cards]
     own = frozenset[int]().union(*sets)
-    touched = incidence.nodes(own)
+    touched, elements = structure.mesh.nodes_of(own), structure.mesh.elements
     places = dict(zip(geometry.nodes.tolist(), geometry.coordinates, strict=True))
     if cards[0].keyword == "*BEAMSECTION":
-        others = [number for number in incidence.nodes_of if number not in own]
-        meeting = [n for n in others if touched.intersection(incidence.nodes_of[n])]
+        others = [number for number in elements if number not in own]
+        meeting = [n for n in others if touched.intersection(elements[n].nodes)]
         kinds = {structure.mesh.elements[number].kind for number in meeting}
         alone = all(EXPANDED.isdisjoint(roles_of(kind)) for kind in kinds)
-        return alone and all(_straight(incidence.nodes_of[number], places) for number in own)
+        return alone and all(_straight(elements[number].nodes, places) for number in own)
     try:
         thickness = _thicknesses(structure)
     except ModelError:
         return False
     beside: dict[int, list[int]] = {}
     for number in thickness.keys() - own:
-        for node in touched.intersection(incidence.nodes_of[number]):
+        for node in touched.intersection(elements[number].nodes):
             beside.setdefault(node, []).append(number)
     normals: dict[int, Floats] = {}
     for number in own:
-        for node in incidence.nodes_of[number]:
+        for node in elements[number].nodes:
             for other in beside.get(node, []):
                 if abs(thickness[number] - thickness[other]) > SAME_THICKNESS:
                     continue
                 for each in (number, other):
                     if each not in normals:
-                        normals[each] = _normal(incidence.nodes_of[each], places)
+                        normals[each] = _normal(elements[each].nodes, places)
                 if normals[number] @ normals[other] > NEAR_NORMALS:
                     return False
     return True

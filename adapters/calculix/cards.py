@@ -1,7 +1,7 @@
 """The cards of a CalculiX deck whose numbers parameters scale: one row for each card.
 
 A row names the owner of the numbers (the material above the card, or an element set), the matrices
-that they move, and for each quantity where they stand, the powers in which the matrices follow
+that they move, and for each quantity their fields, the powers in which the matrices follow
 them, and whether they alone make the strain energy of their elements. Everything else follows from
 the row: which cards are sections, what a parameter moves, and what damps the model.
 """
@@ -104,7 +104,7 @@ class Card:
 
 
 def constant_places(card: KeywordCard, quantity: Quantity) -> list[tuple[int, int, int]]:
-    """Item, line and place in it of a quantity's constants, at each temperature of the card.
+    """Return item, line and place in it of a quantity's constants, at each temperature.
 
     An item is the number in a constant's name, 0 without one; -1 goes with all only. Empty where
     a material of this type has no such quantity.
@@ -125,13 +125,13 @@ def constant_places(card: KeywordCard, quantity: Quantity) -> list[tuple[int, in
 
 
 def orientations(deck: KeywordDeck, card: KeywordCard) -> set[str]:
-    """Orientations that a section and its layers name."""
+    """Return the orientations that a section and its layers name."""
     rows = [deck.fields(line) for line in card.data if "COMPOSITE" in card.options]
     return {card.option("ORIENTATION"), *(canonical_name(r[3]) for r in rows if len(r) > 3)}
 
 
 def first_value(deck: KeywordDeck, card: KeywordCard, row: int) -> KeywordField:
-    """The first number of one of a card's data lines. Raises ModelError."""
+    """Return the first number of one of a card's data lines. Raises ModelError."""
     if len(card.data) <= row:
         raise ModelError(f"{deck.where(card)}: the card has no value")
     return KeywordField(card.data[row], 0, deck.number(card.data[row], 0))
@@ -200,7 +200,7 @@ def _dimension(deck: KeywordDeck, card: KeywordCard, name: str, kinds: Kinds) ->
 
 
 def _spring(deck: KeywordDeck, card: KeywordCard, name: str, kinds: Kinds) -> list[KeywordField]:
-    """Constants stand one a line (one a temperature), after the line of directions."""
+    """Return the constants, one a line (for each temperature) after the line of directions."""
     _check_linear(deck, card, "spring has no one stiffness")
     first = 0 if kinds() == {"SPRINGA"} else 1
     if first == 0:
@@ -283,7 +283,7 @@ _ROWS = (
 #: Rows by their keyword as a deck's cards have it.
 CARDS = {canonical_name(row.name): row for row in _ROWS}
 SECTIONS = tuple(row.name for row in _ROWS if row.owner == "elset")
-#: Keywords that go on with the *MATERIAL above them.
+#: Keywords that belong to the *MATERIAL above them.
 OF_MATERIAL = (
     *(row.name for row in _ROWS if row.owner == "material"),
     "*EXPANSION", "*CONDUCTIVITY", "*SPECIFIC HEAT", "*PLASTIC", "*CYCLIC HARDENING", "*CREEP",
@@ -294,11 +294,11 @@ OF_MATERIAL = (
 
 
 def rows_with(quantity: Quantity) -> list[Card]:
-    """Cards that have a quantity."""
+    """Return the cards that have a quantity."""
     return [row for row in _ROWS if quantity in row.numbers]
 
 
 def powers_of(quantity: Quantity) -> tuple[int, ...]:
-    """The powers of a quantity in the matrices, empty where they are no sum of powers."""
+    """Return the powers of a quantity in the matrices, none where they are no sum of powers."""
     powers = {row.numbers[quantity].powers for row in rows_with(quantity)}
     return powers.pop() if len(powers) == 1 else ()

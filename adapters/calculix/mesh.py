@@ -35,6 +35,28 @@ NODES_OF = {"SPRING1": 1, "SPRING2": 2, "SPRINGA": 2, "MASS": 1, "DASHPOTA": 2, 
 RANGE = re.compile(r"(\d+)(?:-(\d+))?")
 
 
+#: solid and point (springs, masses, dashpots): the node's own three translations. Of shells and
+#: beams linear, and quadratic with their corners or ends and their middle nodes.
+Role = Literal[
+    "solid", "point", "shell", "shell corner", "shell middle", "beam", "beam end", "beam middle",
+    "other",
+]  # fmt: skip
+#: Types of elements with the roles of their nodes; the last one stands for all further nodes.
+ROLES: tuple[tuple[re.Pattern[str], tuple[Role, ...]], ...] = (
+    (re.compile(r"C3D(4|6|8[IR]?|10T?|15|20R?)"), ("solid",)),
+    (re.compile(r"SPRING[12A]|MASS|DASHPOTA"), ("point",)),
+    (re.compile(r"S3|S4R?"), ("shell",)),
+    (re.compile(r"S6"), (*(("shell corner",) * 3), "shell middle")),
+    (re.compile(r"S8R?"), (*(("shell corner",) * 4), "shell middle")),
+    (re.compile(r"B31R?"), ("beam",)),
+    (re.compile(r"B32R?"), ("beam end", "beam middle", "beam end")),
+)
+#: Roles whose nodes lie on a shell or a beam.
+EXPANDED: frozenset[Role] = frozenset(
+    {"shell", "shell corner", "shell middle", "beam", "beam end", "beam middle"}
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Element:
     """kind: the type's name (upper case); line: position of its first line in the deck; nodes: in
@@ -67,6 +89,23 @@ class CalculixMesh:
             return frozenset()
         first, last = int(span.group(1)), int(span.group(2) or span.group(1))
         return frozenset(number for number in self.elements if first <= number <= last)
+
+    def nodes_of(self, elements: Iterable[int]) -> frozenset[int]:
+        """Return all nodes of these elements."""
+        return frozenset[int]().union(*(self.elements[number].nodes for number in elements))
+
+    def roles(self, nodes: Collection[int]) -> dict[int, set[Role]]:
+        """Return what each of these nodes is in its elements, nothing where it belongs to none."""
+        found: dict[int, set[Role]] = {node: set() for node in nodes}
+        by_kind: dict[str, tuple[Role, ...]] = {}
+        for element in self.elements.values():
+            if element.kind not in by_kind:
+                by_kind[element.kind] = roles_of(element.kind)
+            roles = by_kind[element.kind]
+            for place, node in enumerate(element.nodes):
+                if node in found:
+                    found[node].add(roles[min(place, len(roles) - 1)])
+        return found
 
 
 def read_mesh(deck: KeywordDeck) -> CalculixMesh:
@@ -272,54 +311,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return read_number(text) if text.strip() else 0.0
-
-
-#: solid and point (springs, masses, dashpots): the node's own three translations. Of shells and
-#: beams linear, and quadratic with their corners or ends and their middle nodes.
-Role = Literal[
-    "solid", "point", "shell", "shell corner", "shell middle", "beam", "beam end", "beam middle",
-    "other",
-]  # fmt: skip
-#: Types of elements with the roles of their nodes; the last one stands for all further nodes.
-ROLES: tuple[tuple[re.Pattern[str], tuple[Role, ...]], ...] = (
-    (re.compile(r"C3D(4|6|8[IR]?|10T?|15|20R?)"), ("solid",)),
-    (re.compile(r"SPRING[12A]|MASS|DASHPOTA"), ("point",)),
-    (re.compile(r"S3|S4R?"), ("shell",)),
-    (re.compile(r"S6"), (*(("shell corner",) * 3), "shell middle")),
-    (re.compile(r"S8R?"), (*(("shell corner",) * 4), "shell middle")),
-    (re.compile(r"B31R?"), ("beam",)),
-    (re.compile(r"B32R?"), ("beam end", "beam middle", "beam end")),
-)
-#: Roles whose nodes lie on a shell or a beam.
-EXPANDED: frozenset[Role] = frozenset(
-    {"shell", "shell corner", "shell middle", "beam", "beam end", "beam middle"}
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Incidence:
-    """Nodes of each element by its number, in the deck's order, and the elements' types."""
-
-    nodes_of: dict[int, tuple[int, ...]]
-    mesh: CalculixMesh
-
-    def nodes(self, elements: Iterable[int]) -> frozenset[int]:
-        """All nodes of these elements."""
-        return frozenset[int]().union(*map(self.nodes_of.__getitem__, elements))
-
-    def roles(self, nodes: Collection[int]) -> dict[int, set[Role]]:
-        """What each of these nodes is in its elements; nothing where it belongs to none."""
-        found: dict[int, set[Role]] = {node: set() for node in nodes}
-        by_kind: dict[str, tuple[Role, ...]] = {}
-        for number, corners in self.nodes_of.items():
-            kind = self.mesh.elements[number].kind
-            if kind not in by_kind:
-                by_kind[kind] = roles_of(kind)
-            roles = by_kind[kind]
-            for place, node in enumerate(corners):
-                if node in found:
-                    found[node].add(roles[min(place, len(roles) - 1)])
-        return found
 
 
 def roles_of(kind: str) -> tuple[Role, ...]:

@@ -14,7 +14,7 @@ from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_
 from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number, write_edited
 from modetune.adapters.calculix.loads import load_case
-from modetune.adapters.calculix.mesh import Incidence, read_geometry
+from modetune.adapters.calculix.mesh import read_geometry
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.places import edited_lines, energy_sets, fields_of, find_numbers
 from modetune.adapters.calculix.structure import CalculixStructure
@@ -107,11 +107,6 @@ class CalculixModel(Deck):
         return self.structure.preload()
 
     @cached_property
-    def _incidence(self) -> Incidence:
-        mesh = self.structure.mesh
-        return Incidence({number: item.nodes for number, item in mesh.elements.items()}, mesh)
-
-    @cached_property
     def _affected(self) -> dict[tuple[frozenset[Place], tuple[int, ...]], AffectedElements | None]:
         """Elements by what they were asked for: several times in a campaign."""
         return {}
@@ -137,16 +132,14 @@ class CalculixModel(Deck):
         asked = frozenset(places), powers
         if asked not in self._affected:
             self._affected[asked] = affected_elements_of(
-                self.structure, self._incidence, self.mesh(), places, powers
+                self.structure, self.mesh(), places, powers
             )
         return self._affected[asked]
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
     ) -> Observation:
-        return observe(
-            self.structure, self._incidence, matrices.nodes, matrices.components, nodes, components
-        )
+        return observe(self.structure, matrices.nodes, matrices.components, nodes, components)
 
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:
         structure, changed = self.structure, self.edited(values or {}).changed

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.adapters.calculix.constraints import Constraints, Dof, read_constraints
-from modetune.adapters.calculix.mesh import EXPANDED, Incidence, Role, read_places
+from modetune.adapters.calculix.mesh import EXPANDED, Role, read_places
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.observation import Observation, Weights, from_rows, named_rows
@@ -49,7 +49,6 @@ OWN: Mapping[Role, tuple[float, ...]] = {
 
 def observe(
     structure: CalculixStructure,
-    incidence: Incidence,
     nodes: Integers,
     components: Integers,
     wanted_nodes: Integers,
@@ -72,7 +71,7 @@ def observe(
     offset = any("OFFSET" in name for card in structure.sections for name in card.options)
     naming = Naming(
         rows=rows,
-        roles=incidence.roles(told),
+        roles=structure.mesh.roles(told),
         constraints=constraints,
         places=read_places(structure.deck) if bodies else {},
         offset=offset,

@@ -1,4 +1,4 @@
-"""Where a parameter stands in a CalculiX deck: the fields of data lines that hold its numbers."""
+"""The numbers of a CalculiX deck that a parameter scales: fields of data lines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from modetune.core.parameters import Parameter, Quantity
 
 
 def find_fields(structure: CalculixStructure, parameter: Parameter) -> list[KeywordField]:
-    """Where the parameter stands. Raises ModelError with the first reason why it does not."""
+    """Return the numbers that it scales. Raises ModelError with the first reason for none."""
     if not rows_with(parameter.quantity) or parameter.by in ("property", "part"):
         raise ModelError(f"a CalculiX deck has no {parameter.quantity} by {parameter.by} to update")
     names = tuple(map(canonical_name, parameter.targets))
@@ -59,7 +59,7 @@ def find_materials(structure: CalculixStructure, parameter: Parameter) -> tuple[
 
 
 def find_numbers(structure: CalculixStructure, parameter: Parameter) -> list[Number]:
-    """What the parameter moves. Raises ModelError for why it can be nothing."""
+    """Return the numbers that the parameter moves. Raises ModelError with the reason for none."""
     if parameter.quantity == "variable":
         return []
     lines = structure.deck.lines
@@ -72,7 +72,7 @@ def find_numbers(structure: CalculixStructure, parameter: Parameter) -> list[Num
 def edited_lines(
     structure: CalculixStructure, parameters: Iterable[tuple[Parameter, float]]
 ) -> dict[int, str]:
-    """New texts of the lines that these values change.
+    """Return new texts of the lines that these values change.
 
     A number that stays what it is changes nothing. Raises ModelError.
     """
@@ -82,7 +82,7 @@ def edited_lines(
         for number, there in moved_numbers(parameter, find_numbers(structure, parameter), value):
             if there != number.value:
                 line, place = number.place
-                there *= factors.get(number.place, 1.0)  # of a group's stiffness beside others
+                there *= factors.get(number.place, 1.0)  # of a group's stiffness and others
                 factors[number.place] = there / number.value if number.value else 1.0
                 text = changed.get(line, structure.deck.lines[line].text)
                 changed[line] = replace_field(text, place, format_number(there))
@@ -90,7 +90,7 @@ def edited_lines(
 
 
 def energy_sets(structure: CalculixStructure, parameter: Parameter) -> tuple[str, ...]:
-    """Element sets whose strain energy is proportional to the parameter.
+    """Return the element sets whose strain energy is proportional to the parameter.
 
     None where sections overlap or a laminate uses the material among others (the energy of
     the set is then not the parameter's own), or where ccx prints no whole energy.
@@ -125,7 +125,7 @@ def energy_sets(structure: CalculixStructure, parameter: Parameter) -> tuple[str
 def fields_of(
     structure: CalculixStructure, quantity: Quantity, name: str, needed: bool = True
 ) -> list[KeywordField]:
-    """The numbers of a quantity that a material or an element set has.
+    """Return the numbers of a quantity of a material or an element set.
 
     Raises ModelError where they are needed and there are none.
     """
@@ -146,7 +146,7 @@ def fields_of(
 def numbers_on(
     structure: CalculixStructure, row: Card, quantity: Quantity, card: KeywordCard, name: str
 ) -> list[KeywordField]:
-    """The numbers of a quantity on one card of a material or an element set. Raises ModelError."""
+    """Return the numbers of a quantity on one of their cards. Raises ModelError."""
     elements = structure.mesh.elements
 
     def kinds() -> frozenset[str]:
@@ -158,7 +158,7 @@ def numbers_on(
 def _cards(
     structure: CalculixStructure, quantity: Quantity, name: str
 ) -> list[tuple[Card, KeywordCard]]:
-    """The cards of a material or an element set that have a quantity. Raises ModelError."""
+    """Return the cards of a material or an element set with a quantity. Raises ModelError."""
     found, refusals = list[tuple[Card, KeywordCard]](), list[str]()
     for row in rows_with(quantity):
         cards = _owned(structure, row, name)
@@ -175,7 +175,7 @@ def _cards(
 
 
 def _owned(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCard]:
-    """The cards of a row of a material, or of an element set or parts of it. Raises ModelError."""
+    """Return a row's cards of a material, or of a set or parts of it. Raises ModelError."""
     if row.owner == "material":
         return _of_material(structure, row, name)
     cards = [card for card in structure.deck.named(row.name) if card.option("ELSET") == name]

@@ -2,8 +2,9 @@
 
 A row names the owner of the numbers (a material, a property, an element or a mass) and gives, for
 each quantity, the fields, the matrices that they move, the powers in which, and whether they alone
-make the strain energy of their elements. Everything else follows from the row: where a parameter
-stands, what it moves, which cards are copied for it, and what damps the model.
+make the strain energy of their elements. Everything else follows from the row: the
+fields that a parameter scales, what it moves, which cards are copied for it, and what damps the
+model.
 
 A field is (item, field, symbol): the item by which a parameter picks it (0 where there is no
 choice, -1 where it only goes with all others), its field on the card, and its name in the cards of
@@ -75,7 +76,7 @@ class Card:
     that holds several properties, whose fields follow each other alike. materials: fields that name
     materials. plies: the field of the first ply's material, and how far the next one's is. form:
     what a spring or damper acts on: one component of its ends, the line between them, or six
-    directions of its own. unfollowed: pyNastran's name of damping that is not followed.
+    directions in its axes. unfollowed: pyNastran's name of damping that is not followed.
     """
 
     name: str
@@ -89,12 +90,12 @@ class Card:
 
 
 def holds(quantity: Quantity, name: str) -> bool:
-    """Whether cards of this name have a quantity of their own."""
+    """Return whether cards of this name hold a quantity themselves."""
     return name in CARDS and quantity in CARDS[name].numbers
 
 
 def fields_of(deck: NastranDeck, quantity: Quantity, card: NastranCard, ident: int) -> list[Field]:
-    """Where a card has a quantity. Raises ModelError with the reason why it has none."""
+    """Return the fields of a quantity on a card. Raises ModelError where it has none."""
     where = deck.where(card)
     if not holds(quantity, card.name):
         if card.name in DIMENSIONS and quantity in STATION and quantity != "nonstructural_mass":
@@ -111,12 +112,12 @@ def fields_of(deck: NastranDeck, quantity: Quantity, card: NastranCard, ident: i
 
 
 def idents_of(name: str) -> tuple[int, ...]:
-    """Fields of the numbers by which others name a card."""
+    """Return the fields of the numbers by which other cards name this one."""
     return CARDS[name].idents if name in CARDS else (1,)
 
 
 def materials_named(card: NastranCard) -> Iterable[int]:
-    """Fields in which a property or a rod names materials."""
+    """Return the fields in which a property or a rod names materials."""
     row = CARDS.get(card.name)
     if row is None:
         return (2,)
@@ -124,7 +125,7 @@ def materials_named(card: NastranCard) -> Iterable[int]:
 
 
 def station_rows(card: NastranCard) -> list[int]:
-    """First fields of the stations of a PBEAM after end A."""
+    """Return the first fields of the stations of a PBEAM after end A."""
     return [row for row in range(9, len(card.fields), 8) if card.text(row) in STATION_MARKS]
 
 
@@ -178,7 +179,7 @@ def _stations(quantity: Quantity) -> Finder:
 
 
 def _after_stations(*fields: Field) -> Finder:
-    """Numbers of a PBEAM that stand once, in the rows after its last station.
+    """Return a finder of numbers that a PBEAM has once, in the rows after its last station.
 
     fields: counted from the first of these rows. A row that begins a station with YES is followed
     by one of stress points, as end A is where it has stations or nothing else.

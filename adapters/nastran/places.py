@@ -1,4 +1,4 @@
-"""Where a parameter stands in a Nastran deck, and what follows from the rows of its cards.
+"""The numbers of a Nastran deck that a parameter scales, and what follows from their cards.
 
 Stiffness is linear in moduli of whole elements, springs and constants of bars without shear, mass
 in densities and masses (`NastranModel.is_linear`). What constraints and rigid elements eliminate
@@ -60,7 +60,7 @@ TITLE = re.compile(r"^\$[\s*$-]*(?:(?:femap|hm|patran)?\s*(?:material|property|n
 
 
 def find_places(structure: Structure, parameter: Parameter) -> list[ValuePlace]:
-    """Where a parameter stands. Raises ModelError with the first reason why it does not."""
+    """Return the numbers that a parameter scales. Raises ModelError where there are none."""
     if parameter.by in REMEDY:
         raise ModelError(REMEDY[parameter.by])
     if parameter.quantity == "variable":
@@ -247,12 +247,12 @@ def select(
 
 
 def law_of(place: ValuePlace, parameter: Parameter) -> Numbers:
-    """What the row of its card says of a number."""
+    """Return the facts about a number from the row of its card."""
     return CARDS[place.card.name].numbers[parameter.quantity]
 
 
 def energy_sets(structure: Structure, parameter: Parameter) -> tuple[str, ...]:
-    """Groups of elements whose strain energy is proportional to the parameter's numbers.
+    """Return groups of elements whose strain energy is proportional to the parameter's numbers.
 
     `P12` is all elements of property 12, `E7` element 7. Empty where the energy is not theirs
     alone: other materials share a property, or only some of its constants scale.
@@ -292,7 +292,7 @@ def _users(structure: Structure, materials: set[int]) -> tuple[str, ...]:
 def _whole(
     structure: Structure, parameter: Parameter, place: ValuePlace, places: Iterable[ValuePlace]
 ) -> bool:
-    """Whether all numbers of a property or element scale that are given and not zero."""
+    """Return whether the parameter scales all nonzero numbers of a property or element."""
     card, ident = place.card, place.ident
     scaled = {other.field for other in places if other.card == card and other.ident == ident}
     fields = [field for _, field, _ in fields_of(structure.deck, parameter.quantity, card, ident)]
@@ -300,7 +300,7 @@ def _whole(
 
 
 def is_linear(structure: Structure, parameter: Parameter) -> bool:
-    """Whether stiffness and mass matrices are linear in the numbers of a parameter.
+    """Return whether stiffness and mass matrices are linear in the numbers of a parameter.
 
     Single constants of a material, and one of several materials of a laminate, act in series with
     others (Poisson coupling, transverse shear, condensed bubbles): these are not linear.
@@ -323,13 +323,13 @@ def is_linear(structure: Structure, parameter: Parameter) -> bool:
 
 
 def _in_series(structure: Structure, place: ValuePlace, parameter: Parameter) -> bool:
-    """Whether something acts in series with a number of a card."""
+    """Return whether something acts in series with a number of a card."""
     fields = law_of(place, parameter).series
     return any(structure.deck.number(place.card, field) for field in fields)
 
 
 def powers_of(parameter: Parameter, places: Iterable[ValuePlace], linear: bool) -> tuple[int, ...]:
-    """The powers of a parameter that the matrices are made of, none where they are not."""
+    """Return the powers of a parameter that make up the matrices, none where no powers do."""
     if linear:
         return (1,)
     laws = {law_of(p, parameter).powers for p in places if holds(parameter.quantity, p.card.name)}
@@ -345,10 +345,10 @@ def affected_elements_of(
     powers: tuple[int, ...],
     whole: bool,
 ) -> AffectedElements:
-    """What a parameter and those that follow it by expressions move in these powers.
+    """Return what a parameter, and those that follow by expressions, move in these powers.
 
-    places: where each of them stands; whole: whether all stiffness of its elements is proportional
-    to it.
+    places: the numbers of each of them; whole: whether all stiffness of its elements is
+    proportional to it.
     """
     pairs = zip(parameters, places, strict=True)
     moved = {law_of(place, item).moves for item, row in pairs for place in row}
@@ -392,7 +392,7 @@ def _ties(structure: Structure) -> Iterable[tuple[set[int], set[int]]]:
 
 
 def targets(structure: Structure) -> tuple[Target, ...]:
-    """Materials and properties that elements use, then elements with numbers of their own."""
+    """Return materials and properties that elements use, then elements with own numbers."""
     owners = structure.owners
     used = {number: set(rods) for number, rods in structure.rods_of.items()}
     for number, materials in structure.materials_of.items():
