@@ -1,4 +1,4 @@
-"""A study can be removed: its folder or file, and its line in the table of studies."""
+"""A capability can be removed: its files, and one line in the table that names it."""
 
 from __future__ import annotations
 
@@ -14,22 +14,34 @@ import pytest
 from modetune.flows.studies.catalogue import STUDIES
 from tests.test_structure import PARTS, ROOT, copy_of_sources
 
-#: Studies that no other study builds on, and that an update does without.
-REMOVED = ("screen", "localise", "direct")
+#: Of a study, a response type and a format of test files: the files, the table, and the start of
+#: the line there.
+CAPABILITIES = {
+    "localise": (["flows/studies/localise"], "flows/studies/catalogue.py", '"localise": ('),
+    "static": (
+        ["flows/responses/static.py", "core/updating/responses/static.py"],
+        "flows/responses/residuals.py",
+        '"static:',
+    ),
+    "mat": (["adapters/test_files/mat.py"], "adapters/test_files/measurements.py", '"mat": '),
+}
 
 
 @pytest.fixture(scope="module")
 def rest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the sources without these studies."""
+    """A copy of the sources without these capabilities."""
     folder = tmp_path_factory.mktemp("rest")
     copy_of_sources(folder)
-    studies = folder / "flows" / "studies"
-    table = (studies / "catalogue.py").read_text(encoding="utf-8").splitlines(keepends=True)
-    for name in REMOVED:
-        shutil.rmtree(studies / name)
-        (line,) = [line for line in table if line.startswith(f'    "{name}": (')]
-        table.remove(line)
-    (studies / "catalogue.py").write_text("".join(table), encoding="utf-8")
+    for files, table, start in CAPABILITIES.values():
+        for path in (folder / name for name in files):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        lines = (folder / table).read_text(encoding="utf-8").splitlines(keepends=True)
+        (line,) = [line for line in lines if line.strip().startswith(start)]
+        lines.remove(line)
+        (folder / table).write_text("".join(lines), encoding="utf-8")
     return folder
 
 
@@ -50,8 +62,15 @@ def succeeds(rest: Path, *arguments: str) -> str:
 def test_help_shows_the_other_commands(rest: Path) -> None:
     text = succeeds(rest, "-m", "modetune", "--help")
     shown = {words[1] for line in text.splitlines() if len(words := line.split()) > 2}
-    assert set(STUDIES) - set(REMOVED) <= shown
-    assert not set(REMOVED) & shown
+    assert set(STUDIES) - {"localise"} <= shown
+    assert "localise" not in shown
+
+
+def test_the_schema_lacks_the_response_type(rest: Path) -> None:
+    schema = json.loads(succeeds(rest, "-m", "modetune", "schema"))
+    text = json.dumps(schema)
+    assert "StaticSection" not in text
+    assert "FrfSection" in text
 
 
 def test_an_update_runs(rest: Path) -> None:
