@@ -16,7 +16,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
 from modetune.flows.cli.command import run_study
-from modetune.flows.cli.options import AsJson, begun, stoppable
+from modetune.flows.cli.options import AsJson, show_progress, stoppable
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.result import near
@@ -41,7 +41,7 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
-    with begun(f"preparing the case {case}"):
+    with show_progress(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
         from modetune.flows.report.terminal import terminal
         from modetune.flows.updating.record import CampaignRun, summary

@@ -57,7 +57,7 @@ def doctor(
         terminal(stderr=True).status("looking") as status,  # nothing where it is not a terminal
     ):
         report = run_doctor(solver, chosen, campaign_file, tell, status.update)
-    told = report.told(datetime.now(UTC))
+    told = report.to_json(datetime.now(UTC))
     text = _text(report) if file.suffix == ".txt" else json.dumps(told, indent=1) + "\n"
     with writing(file, "name another place with --file") as part:
         part.write_text(text, encoding="utf-8")

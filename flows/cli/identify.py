@@ -12,7 +12,7 @@ import typer
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.options import AsJson, begun, stoppable
+from modetune.flows.cli.options import AsJson, show_progress, stoppable
 from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, json_object, table_of
 from modetune.flows.studies.study import Figures
@@ -68,7 +68,7 @@ def identify(
     """
     with (
         stoppable("stopped; the same command starts from the beginning"),
-        begun(f"reading {', '.join(map(str, frfs))}") as tell,
+        show_progress(f"reading {', '.join(map(str, frfs))}") as tell,
     ):
         from modetune.flows.studies.identify.measured_functions import read_functions
         from modetune.flows.studies.identify.operational_modes import identify_test

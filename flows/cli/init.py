@@ -9,7 +9,7 @@ import typer
 
 from modetune.core.near_names import listed
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.options import AsJson, begun, stoppable
+from modetune.flows.cli.options import AsJson, show_progress, stoppable
 from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.study import SolverChoice, UnitsChoice, with_model
@@ -35,7 +35,10 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
-    with stoppable("stopped; the same command starts from the beginning"), begun(f"reading {deck}"):
+    with (
+        stoppable("stopped; the same command starts from the beginning"),
+        show_progress(f"reading {deck}"),
+    ):
         from modetune.flows.studies.init.draft import init_campaign
 
         draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)

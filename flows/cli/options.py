@@ -53,7 +53,7 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
 
 @contextmanager
-def begun(text: str) -> Iterator[Callable[[str], None]]:
+def show_progress(text: str) -> Iterator[Callable[[str], None]]:
     """Report the first piece of work, then its jobs; yields a function that reports the next
     piece."""
     from modetune.flows.jobs.progress import JobProgress

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from modetune.core.near_names import named
-from modetune.flows.cli.options import AsJson, begun
+from modetune.flows.cli.options import AsJson, show_progress
 from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 
@@ -25,7 +25,7 @@ def report(
     as_json: AsJson = False,
 ) -> None:
     """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
-    with begun(f"reading {record}") as tell:
+    with show_progress(f"reading {record}") as tell:
         from modetune.core.storage.campaign_record import read_record
         from modetune.flows.report.page import write_page
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.options import AsJson, begun
+from modetune.flows.cli.options import AsJson, show_progress
 from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.study import CampaignPath, Settings
@@ -34,7 +34,7 @@ def sensors(
     as_json: AsJson = False,
 ) -> None:
     """Tell at which node and along which direction each sensor is read. Runs no solver."""
-    with begun(f"reading {campaign_file}"):
+    with show_progress(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.updating.poses import from_store
 

@@ -46,7 +46,7 @@ from modetune.flows.server.artifacts import files_sheet, result_sheets, table_sh
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import Opened, Study
+from modetune.flows.studies.study import Study, StudyContext
 from modetune.flows.updating.forecast import Progress, Unwatched
 from modetune.flows.updating.record import CampaignRun
 
@@ -64,7 +64,7 @@ class Handed:
     """
 
     progress: Progress
-    opened: Opened | None = None
+    opened: StudyContext | None = None
     own_process: bool = False
     began: bool = False
     end: StudyResult | None = None

@@ -22,7 +22,7 @@ from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import PoolRunner, Runner
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import Opened, Study
+from modetune.flows.studies.study import Study, StudyContext
 from modetune.flows.updating.forecast import Progress
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _used(server: SharedServer | None) -> Iterator[None]:
         yield
 
 
-def _on_pool(study: Study, parameters: Mapping[str, Any], on: Opened) -> StudyResult:
+def _on_pool(study: Study, parameters: Mapping[str, Any], on: StudyContext) -> StudyResult:
     """The study without Prefect: on threads, or on the campaign's Dask cluster."""
     with _plain_runner(on.loaded) as runner, running_with(StudyRun(runner)):
         return study.call(on, parameters)
@@ -137,7 +137,7 @@ def _plain_runner(campaign: Campaign | None) -> Iterator[Runner]:
 
 
 def _in_pipeline(
-    study: Study, parameters: Mapping[str, Any], on: Opened, progress: Progress
+    study: Study, parameters: Mapping[str, Any], on: StudyContext, progress: Progress
 ) -> StudyResult:
     """The study as a flow inside the flow that calls it, on that one's server."""
     from modetune.flows.server.flows import Handed, find_flow, handing
@@ -151,7 +151,7 @@ def _in_pipeline(
 def _as_flow(
     study: Study,
     parameters: Mapping[str, Any],
-    on: Opened,
+    on: StudyContext,
     progress: Progress,
     server: SharedServer,
     own_process: bool,

@@ -9,12 +9,12 @@ import typer
 
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import DeckOptions, Opened, study
+from modetune.flows.studies.study import DeckOptions, StudyContext, study
 
 
 @study(DeckOptions)
 def modes(
-    on: Opened,
+    on: StudyContext,
     number: Annotated[
         int | None, typer.Option(min=1, help="How many modes, rigid ones counted.")
     ] = None,

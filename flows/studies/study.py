@@ -1,11 +1,11 @@
 """A study: one definition from which its command, its Python verb and its Prefect flow derive.
 
-A study is a function of what was opened for it and of its request, and returns its end:
+A study is a function of its context and its request, and returns its result:
 
     @study(ModelOptions)
-    def reduce(on: Opened, request: ReductionRequest, out: Out = None) -> StudyResult:
+    def reduce(on: StudyContext, request: ReductionRequest, out: Out = None) -> StudyResult:
 
-Its parameters are the fields of the options, which say what to open, the fields of the request and
+Its parameters are the fields of the options, which open the context, the fields of the request and
 the other arguments of the function, each described once: `Annotated[TYPE, typer.Option(...)]`. The
 function may also take the options themselves. Parameters travel as JSON: paths are absolute texts,
 several values are a list.
@@ -111,12 +111,12 @@ Page = Annotated[
 
 
 @dataclass(frozen=True)
-class Opened:
-    """What a study works on, and who watches it.
+class StudyContext:
+    """The campaign, the parameter values, the folder and the progress of a study.
 
-    name: of the campaign, or of what is compared. values: of the parameters, by `at`. folder: of
-    the campaign's run. charted: whether charts are wanted. loaded: None of a study that loads its
-    campaigns itself. scheduled: whether a server started the run.
+    name: the campaign's, or that of a comparison. values: the parameters', by `at`. folder: the
+    campaign's run folder. charted: whether charts are wanted. loaded: None where a study loads
+    its campaigns itself. scheduled: whether a server started the run.
     """
 
     name: str
@@ -129,7 +129,7 @@ class Opened:
 
     @property
     def campaign(self) -> Campaign:
-        """The campaign that was opened for the study."""
+        """Return the campaign of the study."""
         assert self.loaded is not None
         return self.loaded
 
@@ -144,8 +144,8 @@ class StudyOptions:
 
     settings: Settings = field(default=None, kw_only=True)
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
-        """Load and check what the study works on.
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
+        """Load and check the context of the study.
 
         campaign: one that Python has loaded already. Raises CampaignError, ModelError,
         StorageUnavailable.
@@ -164,14 +164,14 @@ class CampaignOptions(StudyOptions):
 
     campaign_file: CampaignPath
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         from modetune.flows.report.page import check_page
 
         page, figures = places(self)
         check_page(page)
         campaign = campaign or self.load()
         folder = self.folder(campaign)
-        return Opened(
+        return StudyContext(
             campaign.name, progress, campaign, folder=folder, charted=bool(page or figures)
         )
 
@@ -209,7 +209,7 @@ class DeckOptions(StudyOptions):
     solver: SolverChoice = None
     units: UnitsChoice = None
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         from modetune.flows.campaign.sketch import open_model
         from modetune.flows.report.page import check_page
         from modetune.flows.updating.mode_source import parse_values
@@ -218,7 +218,7 @@ class DeckOptions(StudyOptions):
         changed = with_model(self.settings, self.solver, self.units)
         campaign = campaign or open_model(self.model, changed, self.test_files)
         values = parse_values(campaign, self.at or [])
-        return Opened(campaign.name, progress, campaign, values)
+        return StudyContext(campaign.name, progress, campaign, values)
 
     @property
     def test_files(self) -> tuple[Path, ...]:
@@ -423,7 +423,7 @@ def _fields(kind: type) -> list[StudyParameter]:
 
 @dataclass(frozen=True)
 class Study:
-    """A study: its name, its function, and the options that say what to open for it."""
+    """A study: its name, its function, and the options that open its context."""
 
     name: str
     function: Callable[..., StudyResult]
@@ -520,8 +520,8 @@ class Study:
     @contextmanager
     def opened(
         self, parameters: Mapping[str, Any], progress: Progress, campaign: Campaign | None = None
-    ) -> Iterator[Opened]:
-        """Load and check what the study works on.
+    ) -> Iterator[StudyContext]:
+        """Load and check the context of the study.
 
         campaign: one that Python has loaded already. Raises CampaignError, ModelError,
         StorageUnavailable.
@@ -529,7 +529,7 @@ class Study:
         progress.working(self.beginning(parameters))
         yield self._opening(parameters).open(progress, campaign)
 
-    def call(self, on: Opened, parameters: Mapping[str, Any]) -> StudyResult:
+    def call(self, on: StudyContext, parameters: Mapping[str, Any]) -> StudyResult:
         """Run the study and write its page and figures. Raises the errors of its function."""
         values = self._values(parameters)
         given = {
@@ -543,7 +543,7 @@ class Study:
 
     @cached_property
     def _arguments(self) -> dict[str, tuple[Any, Any]]:
-        """Type and default of the function's arguments behind what was opened."""
+        """Return type and default of the function's arguments after the context."""
         hints = get_type_hints(self.function, include_extras=True)
         _, *items = inspect.signature(self.function).parameters.values()
         return {item.name: (hints[item.name], item.default) for item in items}
@@ -567,7 +567,7 @@ def _of(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def study(options: type[StudyOptions]) -> Callable[[Callable[..., StudyResult]], Study]:
-    """Make a study of a function, with these options that say what to open for it."""
+    """Return a decorator that makes a study of a function, with options that open its context."""
 
     def made(function: Callable[..., StudyResult]) -> Study:
         return Study(function.__name__, function, options)

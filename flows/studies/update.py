@@ -11,7 +11,7 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.flows.studies.result import StudyResult, near
-from modetune.flows.studies.study import CampaignOptions, Opened, Runs, study
+from modetune.flows.studies.study import CampaignOptions, Runs, StudyContext, study
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,7 +30,7 @@ class UpdateOptions(CampaignOptions):
     ] = None
     runs: Runs = Path("runs")
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         if campaign is not None and self.starts is not None:
             raise CampaignError("the campaign is loaded already; give `update.starts` to load")
         return super().open(progress, campaign)
@@ -46,7 +46,7 @@ class UpdateOptions(CampaignOptions):
 
 
 @study(UpdateOptions)
-def update(on: Opened) -> StudyResult:
+def update(on: StudyContext) -> StudyResult:
     """Update the campaign's model until it agrees with its test."""
     from modetune.flows.report.mode_tables import mode_table
     from modetune.flows.report.parameter_tables import parameter_table

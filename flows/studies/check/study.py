@@ -16,8 +16,8 @@ from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import (
     ModelPath,
     ModelState,
-    Opened,
     SolverChoice,
+    StudyContext,
     StudyOptions,
     UnitsChoice,
     study,
@@ -65,7 +65,7 @@ class CheckOptions(StudyOptions):
         typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
     ] = None
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         if self.record is not None and self.against is None:
             raise CampaignError(
                 "--record requires a baseline to compare with; name one with --against"
@@ -79,7 +79,7 @@ class CheckOptions(StudyOptions):
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)
         campaign = campaign or open_model(self.campaign_file, changed, self.test or [])
-        return Opened(campaign.name, progress, campaign)
+        return StudyContext(campaign.name, progress, campaign)
 
     @property
     def solves(self) -> bool:
@@ -88,7 +88,7 @@ class CheckOptions(StudyOptions):
 
 @study(CheckOptions)
 def check(
-    on: Opened,
+    on: StudyContext,
     options: CheckOptions,
     state: BaselineState = "updated",
     frequency_band: FrequencyBand = 0.01,

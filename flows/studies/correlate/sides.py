@@ -49,7 +49,7 @@ MODELS = ("campaign", "deck")
 
 
 @dataclass(frozen=True, slots=True)
-class ComparedSource:
+class SideSource:
     """A file to compare, and what it is.
 
     at: parameter values of a campaign, NAME=VALUE; more: files of the same test.
@@ -79,11 +79,11 @@ class Model:
         return self.campaign.case.measurement.geometry
 
 
-def source(path: Path, at: Sequence[str] = ()) -> ComparedSource:
+def source(path: Path, at: Sequence[str] = ()) -> SideSource:
     """What a path is of. Raises CampaignError where it is nothing, or `at` is for no campaign."""
     several = [Path(part.strip()) for part in str(path).split(",")]
     if len(several) > 1 and not path.exists() and all(part.is_file() for part in several):
-        return ComparedSource(several[0], "test", (), tuple(several[1:]))
+        return SideSource(several[0], "test", (), tuple(several[1:]))
     if path.is_dir():
         path = path / "campaign.h5"
     if not path.exists():
@@ -100,7 +100,7 @@ def source(path: Path, at: Sequence[str] = ()) -> ComparedSource:
         kind = "deck"
     if at and kind != "campaign":
         raise CampaignError(f"{path} is not a campaign file, so it has no values to set")
-    return ComparedSource(path, kind, tuple(at))
+    return SideSource(path, kind, tuple(at))
 
 
 def _is_record(path: Path) -> bool:
@@ -112,8 +112,8 @@ def _is_record(path: Path) -> bool:
 
 
 def correlate_sources(
-    first: ComparedSource,
-    second: ComparedSource | None,
+    first: SideSource,
+    second: SideSource | None,
     state: State = "updated",
     settings: Sequence[str] = (),
     method: MassReduction | None = None,
@@ -148,7 +148,7 @@ def correlate_sources(
 
 
 def _alone(
-    item: ComparedSource, state: State, settings: Sequence[str]
+    item: SideSource, state: State, settings: Sequence[str]
 ) -> tuple[Side, Side, Model | None]:
     """Compare a campaign's or record's model with its own test."""
     if item.kind == "test":
@@ -169,8 +169,8 @@ def _alone(
 
 
 def _model_beside(
-    item: ComparedSource,
-    other: ComparedSource,
+    item: SideSource,
+    other: SideSource,
     state: State,
     settings: Sequence[str],
 ) -> tuple[Model, Side, Side]:
@@ -187,8 +187,8 @@ def _model_beside(
 
 
 def _two_models(
-    first: ComparedSource,
-    second: ComparedSource,
+    first: SideSource,
+    second: SideSource,
     settings: Sequence[str],
 ) -> tuple[Side, Side, Model]:
     """Two models at the sensors of their tests, or where these share none, at common nodes."""
@@ -218,7 +218,7 @@ def _two_models(
     return left, right, models[1]
 
 
-def _labels(models: list[Model], first: ComparedSource, second: ComparedSource) -> list[str]:
+def _labels(models: list[Model], first: SideSource, second: SideSource) -> list[str]:
     names = [model.campaign.name for model in models]
     if names[0] != names[1]:
         return names
@@ -250,7 +250,7 @@ def _seen(model: Model) -> ModeSet:
     return model.campaign.case.sensors.observe(model.elastic)
 
 
-def _read(item: ComparedSource, state: State) -> Side:
+def _read(item: SideSource, state: State) -> Side:
     """A record's model or a test file as a side."""
     if item.kind == "record":
         record = read_record(item.path)

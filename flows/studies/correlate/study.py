@@ -18,8 +18,8 @@ from modetune.flows.studies.correlate.request import CorrelationRequest
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import (
     Figures,
-    Opened,
     SolverChoice,
+    StudyContext,
     StudyOptions,
     UnitsChoice,
     split_files,
@@ -30,7 +30,7 @@ from modetune.flows.studies.study import (
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.correlate.correlation import Correlation, Orthogonality
-    from modetune.flows.studies.correlate.sides import ComparedSource
+    from modetune.flows.studies.correlate.sides import SideSource
     from modetune.flows.updating.forecast import Progress
 
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
@@ -69,10 +69,10 @@ class CorrelateOptions(StudyOptions):
     units: UnitsChoice = None
     figures: Figures = None
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         if not self.second and self.second_at:
             raise CampaignError("--second-at is of a second campaign, and none is named")
-        return Opened(self.first[0].stem, progress, charted=self.figures is not None)
+        return StudyContext(self.first[0].stem, progress, charted=self.figures is not None)
 
     @property
     def solves(self) -> bool:
@@ -81,7 +81,7 @@ class CorrelateOptions(StudyOptions):
         return any(item.kind in MODELS for item in self.sources)
 
     @property
-    def sources(self) -> list[ComparedSource]:
+    def sources(self) -> list[SideSource]:
         """What is compared, one or two. Raises CampaignError."""
         from modetune.flows.studies.correlate.sides import source
 
@@ -91,7 +91,7 @@ class CorrelateOptions(StudyOptions):
 
 @study(CorrelateOptions)
 def correlate(
-    on: Opened,
+    on: StudyContext,
     options: CorrelateOptions,
     request: CorrelationRequest,
     out: Out = None,

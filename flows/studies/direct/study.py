@@ -11,7 +11,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import json_object, table_of
 from modetune.flows.studies.direct.request import DirectRequest
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import ModelOptions, Opened, study
+from modetune.flows.studies.study import ModelOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.direct.correction import DirectCorrection
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @study(ModelOptions)
 def direct(
-    on: Opened,
+    on: StudyContext,
     request: DirectRequest,
     out: Annotated[
         Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")

@@ -43,7 +43,7 @@ class DoctorReport:
     def exit_code(self) -> int:
         return 4 if self.status == "failed" else 0
 
-    def told(self, now: datetime) -> dict[str, Json]:
+    def to_json(self, now: datetime) -> dict[str, Json]:
         """The report for machines."""
         told = json_object(self, "status exit_code confirmed", lines=self.lines)
         return {**told, "written": now.astimezone(UTC).isoformat(timespec="seconds")}

@@ -50,7 +50,7 @@ from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, EIGENVALUE_
 
 
 @dataclass(frozen=True)
-class Altered:
+class FaultyProgram:
     """A program of which some jobs are spoilt.
 
     broken: a part of the input files and what stands in its place; where it is empty the largest
@@ -322,7 +322,7 @@ class SolverTests:
 
     # what goes wrong
 
-    def _altered(self, program: Altered) -> SolverError | None:
+    def _altered(self, program: FaultyProgram) -> SolverError | None:
         """The error that an altered program's job ends with; None where it gives a result."""
         case = self.campaign.cases[0]
         solver = replace(case.solver, program=program)
@@ -337,7 +337,7 @@ class SolverTests:
 
     def _refusal(self) -> Verdict:
         broken = ("", "") if self.model is None else self.model.broken
-        error = self._altered(Altered(self.program, broken))
+        error = self._altered(FaultyProgram(self.program, broken))
         if error is None:
             said = "a job with an error in its input gave modes all the same"
             return Verdict("failed", said, REPORT)
@@ -353,7 +353,7 @@ class SolverTests:
             return Verdict("not available", "this program needs no licence")
         own = self.campaign.run.licence_messages
         for said in (REFUSAL, *own):
-            error = self._altered(Altered(self.program, refusal=said))
+            error = self._altered(FaultyProgram(self.program, refusal=said))
             if not isinstance(error, LicenceDenied):
                 kind = "a success" if error is None else _first_line(error)
                 return Verdict("failed", f"{said!r} was taken for {kind}", REPORT)

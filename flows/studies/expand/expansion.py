@@ -159,7 +159,7 @@ class _Test:
             found[part] = fill(np.setdiff1d(everyone, part))[part]
         return relative(found - self.shapes, self.shapes)
 
-    def told(
+    def result(
         self, method: str, held_out: Floats, modes: ModeSet, mesh: Mesh, seen: Shapes, worst: float
     ) -> ExpandedShapes:
         away = relative(seen - self.shapes, self.shapes)
@@ -246,7 +246,7 @@ def _serep(test: _Test) -> ExpandedShapes:
     whole, n_seen = np.vstack([seen, elastic.mode_shapes.real])[:, :count], seen.shape[0]
     found = serep_expansion(whole, test.shapes, np.arange(n_seen, dtype=np.int64))
     modes = test.modes(found.mode_shapes[n_seen:], elastic.nodes, elastic.components)
-    told = test.told(
+    told = test.result(
         "serep",
         tried[count],
         modes,
@@ -289,7 +289,7 @@ def _by_balance(test: _Test, frequencies_hz: Floats, method: str) -> ExpandedSha
     seen_shapes = np.zeros_like(test.shapes)
     seen_shapes[moving] = shapes
     modes = test.motion(np.asarray(seen.back @ whole))
-    return test.told(method, test.held_out(fill), modes, test.mesh, seen_shapes, worst)
+    return test.result(method, test.held_out(fill), modes, test.mesh, seen_shapes, worst)
 
 
 def _irs(test: _Test) -> ExpandedShapes:
@@ -307,7 +307,7 @@ def _irs(test: _Test) -> ExpandedShapes:
     modes = test.motion(np.asarray(seen.back @ (whole.transformation @ shapes)))
     seen_shapes = np.zeros_like(test.shapes)
     seen_shapes[moving] = shapes
-    return test.told("irs", test.held_out(fill), modes, test.mesh, seen_shapes, whole.condition)
+    return test.result("irs", test.held_out(fill), modes, test.mesh, seen_shapes, whole.condition)
 
 
 def _spline(test: _Test) -> ExpandedShapes:
@@ -340,7 +340,7 @@ def _spline(test: _Test) -> ExpandedShapes:
     modes = test.modes(found.mode_shapes, nodes, components)
     plain = replace(mesh, frames={})  # splines are made along the global axes
     worst = float(found.condition.max())
-    return test.told("spline", test.held_out(fill), modes, plain, test.shapes, worst)
+    return test.result("spline", test.held_out(fill), modes, plain, test.shapes, worst)
 
 
 FILLERS: Mapping[str, Callable[[_Test], ExpandedShapes]] = {

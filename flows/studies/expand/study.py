@@ -12,7 +12,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.expand.request import ExpansionRequest
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import Figures, ModelOptions, Opened, study
+from modetune.flows.studies.study import Figures, ModelOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.expand.expansion import Expansions
@@ -27,7 +27,7 @@ class ExpandOptions(ModelOptions):
 
 @study(ExpandOptions)
 def expand(
-    on: Opened,
+    on: StudyContext,
     request: ExpansionRequest,
     out: Annotated[
         Path | None, typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv.")

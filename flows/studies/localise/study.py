@@ -12,7 +12,7 @@ import typer
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import CampaignOptions, Figures, Opened, study
+from modetune.flows.studies.study import CampaignOptions, Figures, StudyContext, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +39,7 @@ class LocaliseOptions(CampaignOptions):
 
 @study(LocaliseOptions)
 def localise(
-    on: Opened,
+    on: StudyContext,
     record: Annotated[
         Path | None,
         typer.Option(help="Run folder or campaign.h5 whose updated model is looked at."),

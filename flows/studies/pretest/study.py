@@ -15,7 +15,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.pretest.request import PretestSettings
 from modetune.flows.studies.result import StudyResult, near
-from modetune.flows.studies.study import CampaignOptions, Opened, study
+from modetune.flows.studies.study import CampaignOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.core.planning.sensor_placement import Quality
@@ -39,7 +39,7 @@ class PretestOptions(CampaignOptions):
 
 @study(PretestOptions)
 def pretest(
-    on: Opened,
+    on: StudyContext,
     request: PretestSettings,
     out: Annotated[
         Path | None, typer.Option(help="Write the sensors as points of a test (CSV).")

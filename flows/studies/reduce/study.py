@@ -12,7 +12,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, json_object, table_of
 from modetune.flows.studies.reduce.request import ReductionRequest
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import ModelOptions, Opened, study
+from modetune.flows.studies.study import ModelOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.reduce.reduction import ModelReduction
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @study(ModelOptions)
 def reduce(
-    on: Opened,
+    on: StudyContext,
     request: ReductionRequest,
     out: Annotated[
         Path | None,

@@ -122,7 +122,7 @@ def walk(
     return np.asarray(sampler.get_chain(discard=steps // 2, flat=True))
 
 
-class Foreseen(emcee.moves.RedBlueMove):  # type: ignore[misc]  # emcee has no types
+class DensityForecast(emcee.moves.RedBlueMove):  # type: ignore[misc]  # emcee has no types
     """Steps of a chain for another density lead to what is proposed (see the module's head)."""
 
     def __init__(self, density: Posterior) -> None:
@@ -160,7 +160,7 @@ def _sampler(
     ]
     if foreseen is not None:
         moves = [(move, (1.0 - FORESEEN_SHARE) * share) for move, share in moves]
-        moves.append((Foreseen(foreseen), FORESEEN_SHARE))
+        moves.append((DensityForecast(foreseen), FORESEEN_SHARE))
     sampler = emcee.EnsembleSampler(
         walkers, posterior.lower.size, posterior.log_density, vectorize=True, moves=moves
     )

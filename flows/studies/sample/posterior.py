@@ -21,7 +21,7 @@ from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.sample.chains import LONGER, LONGEST, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.refinement import Learned, check, learn
+from modetune.flows.studies.sample.refinement import Refinement, check, learn
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.matrices import one_thread
@@ -124,8 +124,8 @@ def sample_campaign(
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What is known of a campaign's posterior while its solver can still be asked.
+class PosteriorModel:
+    """The posterior of a campaign with the solver that it came from.
 
     reduced: a reduced model between the bounds, where there is one; walkers: of a sampler;
     at_chains, at_checks: random numbers; version: of the solver.
@@ -133,7 +133,7 @@ class Known:
 
     campaign: Campaign
     solver: PointSolver
-    learned: Learned
+    learned: Refinement
     reduced: ReducedFeatures | None
     walkers: int
     at_chains: np.random.Generator
@@ -147,7 +147,7 @@ def learned_posterior(
     request: SamplingRequest,
     working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
-) -> Iterator[Known]:
+) -> Iterator[PosteriorModel]:
     """What sets over the range and near the posterior tell. Raises as `sample_campaign` does."""
     campaign = campaign.alone(campaign.case)  # several are refused before anything runs
     parameters = campaign.parameters
@@ -175,7 +175,9 @@ def learned_posterior(
             points = np.vstack([centre, limits[0] + unit * (limits[1] - limits[0])])
             more = request.points or NEAR_EACH * asked
             learned = learn(solver, points, limits, more, walkers, at_search, working, reduced)
-            yield Known(campaign, solver, learned, reduced, walkers, at_chains, at_checks, version)
+            yield PosteriorModel(
+                campaign, solver, learned, reduced, walkers, at_chains, at_checks, version
+            )
         except BaseException:
             engine.cancelled.set()  # jobs of other threads end with the sampling
             raise

@@ -57,7 +57,7 @@ CHECKS, FEW = 8, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class Refinement:
     """What was learned. near: (n_points,), which sets lie near the posterior; begun: sets before
     any was added there; errors: (n_responses,), leave-one-out errors in its 95 % region, and
     density_error, of the log density there; NaN where a reduced model itself gives the samples.
@@ -83,7 +83,7 @@ class Learned:
         found = np.unique(walk(self.posterior, self.peaks, walkers, SEARCH_STEPS, rng), axis=0)
         return np.asarray(rng.permutation(found)[:count])
 
-    def by_model(self, reduced: ReducedFeatures, rng: np.random.Generator) -> Learned:
+    def by_model(self, reduced: ReducedFeatures, rng: np.random.Generator) -> Refinement:
         """A reduced model itself in the place of what was learned from it, which foresees it."""
         posterior = replace(self.posterior, surrogate=reduced)
         best = np.argsort((self.training.values**2).sum(axis=1))[:CLIMBS]
@@ -121,7 +121,7 @@ def learn(
     rng: np.random.Generator,
     tell: Callable[[str], None],
     reduced: ReducedFeatures | None = None,
-) -> Learned:
+) -> Refinement:
     """Sets at points (n, n_parameters), then further ones near the posterior.
 
     limits: lower and upper end of the range; more: runs of the solver near the posterior at most;
@@ -162,7 +162,7 @@ def learn(
     return learned
 
 
-def refuse_poor(learned: Learned, least: int) -> None:
+def refuse_poor(learned: Refinement, least: int) -> None:
     """Raise CampaignError where the surrogate errs more than the test itself."""
     poor = np.flatnonzero(learned.errors > REFUSED)
     if not poor.size and learned.near.sum() >= least // 2:
@@ -197,7 +197,7 @@ def near_posterior(
     return np.asarray((squares <= squares[inside].min(initial=np.inf) + reach) & inside)
 
 
-def new_points(learned: Learned, count: int, walkers: int, rng: np.random.Generator) -> Floats:
+def new_points(learned: Refinement, count: int, walkers: int, rng: np.random.Generator) -> Floats:
     """Points (count, n_parameters) for sets near the posterior, apart from those that are there."""
     posterior, peaks = learned.posterior, learned.peaks
     drawn = learned.drawn(max(CANDIDATES, 4 * count), walkers, rng)
@@ -218,7 +218,7 @@ def new_points(learned: Learned, count: int, walkers: int, rng: np.random.Genera
 
 def check(
     solver: PointSolver,
-    learned: Learned,
+    learned: Refinement,
     chains: Chains,
     count: int | None,
     rng: np.random.Generator,
@@ -245,7 +245,7 @@ def _learned(
     limits: tuple[Floats, Floats],
     begun: int,
     rng: np.random.Generator,
-) -> Learned:
+) -> Refinement:
     parameters = solver.campaign.parameters
     surrogate = fit_surrogate(training, *limits)
     prior = parameters.initial, parameters.standard_deviations
@@ -256,7 +256,7 @@ def _learned(
     near = near_posterior(training, posterior, 1e-3, WIDER)
     core = near_posterior(training, posterior, 0.05)
     core = core if core.sum() > posterior.lower.size else near
-    return Learned(
+    return Refinement(
         training,
         keys,
         surrogate,

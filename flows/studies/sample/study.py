@@ -9,7 +9,7 @@ import typer
 
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.sample.request import SamplingRequest
-from modetune.flows.studies.study import Opened, RunOptions, study
+from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 Record = Annotated[
     Path | None,
@@ -18,7 +18,7 @@ Record = Annotated[
 
 
 @study(RunOptions)
-def sample(on: Opened, request: SamplingRequest, record: Record = None) -> StudyResult:
+def sample(on: StudyContext, request: SamplingRequest, record: Record = None) -> StudyResult:
     """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
 
     Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.

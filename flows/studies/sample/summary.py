@@ -35,7 +35,7 @@ ITSELF = (
 
 
 #: Sentences, each behind whether it is red.
-Said = Iterator[tuple[bool, str]]
+Sentences = Iterator[tuple[bool, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +52,13 @@ def findings(record: PosteriorRecord) -> tuple[StudyFinding, ...]:
     return red_first(said for of in told for said in of(record))
 
 
-def red_first(said: Said) -> tuple[StudyFinding, ...]:
+def red_first(said: Sentences) -> tuple[StudyFinding, ...]:
     """Findings, red ones first."""
     found = [StudyFinding(*item) for item in said]
     return tuple(sorted(found, key=lambda finding: not finding.red))
 
 
-def _of_checks(record: PosteriorRecord) -> Said:
+def _of_checks(record: PosteriorRecord) -> Sentences:
     names, errors = record.training.names, record.check_errors
     if not record.check_keys:
         yield False, "no point of the posterior was checked by the solver"
@@ -95,7 +95,7 @@ def _remedy(record: PosteriorRecord) -> str:
     return own if record.reduced_model else "raise --points"
 
 
-def _of_chains(record: PosteriorRecord) -> Said:
+def _of_chains(record: PosteriorRecord) -> Sentences:
     if record.enough:
         return
     kept = record.steps - record.burned
@@ -109,7 +109,7 @@ def _of_chains(record: PosteriorRecord) -> Said:
     )
 
 
-def _of_peaks(record: PosteriorRecord) -> Said:
+def _of_peaks(record: PosteriorRecord) -> Sentences:
     seen = np.flatnonzero(record.shares >= SECOND)
     if seen.size < 2:
         return
@@ -129,7 +129,7 @@ def _of_peaks(record: PosteriorRecord) -> Said:
     )
 
 
-def _of_ends(record: PosteriorRecord) -> Said:
+def _of_ends(record: PosteriorRecord) -> Sentences:
     width = 0.25 * record.deviation
     by_test = record.deviation <= UNTOLD * prior_width(record)
     sides = (
@@ -153,7 +153,7 @@ def _of_ends(record: PosteriorRecord) -> Said:
                 )
 
 
-def _of_shapes(record: PosteriorRecord) -> Said:
+def _of_shapes(record: PosteriorRecord) -> Sentences:
     """Where mean and deviation are not those of the linear model at the most likely values."""
     for place, name in enumerate(record.names):
         ratio = record.deviation[place] / record.linear_deviation[place]
@@ -173,7 +173,7 @@ def _of_shapes(record: PosteriorRecord) -> Said:
             )
 
 
-def _of_prior(record: PosteriorRecord) -> Said:
+def _of_prior(record: PosteriorRecord) -> Sentences:
     share = record.deviation / prior_width(record)
     for place in np.flatnonzero(share > UNTOLD).tolist():
         yield (
@@ -190,7 +190,7 @@ def prior_width(record: PosteriorRecord) -> Floats:
     return np.asarray(truncnorm.std(*ends, loc=mean, scale=deviation), dtype=np.float64)
 
 
-def _of_ties(record: PosteriorRecord) -> Said:
+def _of_ties(record: PosteriorRecord) -> Sentences:
     rows, columns = np.nonzero(np.triu(np.abs(record.correlation) > TIED, 1))
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         yield (

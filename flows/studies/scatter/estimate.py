@@ -35,7 +35,7 @@ from modetune.core.updating.parameter_scatter import (
 )
 from modetune.core.updating.responses.damping import DampingRatios
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.sample.posterior import Known, learned_posterior
+from modetune.flows.studies.sample.posterior import PosteriorModel, learned_posterior
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.sample.surrogate import fit_surrogate
 from modetune.flows.studies.scatter.measured_values import (
@@ -161,7 +161,7 @@ def _of_one_test(campaign: Campaign) -> Campaign:
     return replace(campaign, cases=(replace(case, weighting=weighting, compared=compared),))
 
 
-def _nearer(known: Known, rng: np.random.Generator) -> Known:
+def _nearer(known: PosteriorModel, rng: np.random.Generator) -> PosteriorModel:
     """What is known with more sets around each peak, for the surrogate to be exact there."""
     learned, parameters = known.learned, known.campaign.parameters
     training, count = learned.training, 2 * len(parameters) + 2
@@ -178,7 +178,7 @@ def _noise_told(request: ScatterRequest, n_modes: int, n_free: int) -> bool:
     return request.measurement_deviation is not None or n_modes == n_free
 
 
-def _tests(known: Known, values: MeasuredValues, deviation: float | None) -> TestScatter:
+def _tests(known: PosteriorModel, values: MeasuredValues, deviation: float | None) -> TestScatter:
     """What the tests measured, less the means and over the sizes."""
     repeats = known.campaign.case.measurement.repeats
     assert repeats is not None
@@ -190,14 +190,14 @@ def _tests(known: Known, values: MeasuredValues, deviation: float | None) -> Tes
     return TestScatter(kept, found.mean, found.covariance, noise, repeats.worth * len(measured))
 
 
-def _model(known: Known, values: MeasuredValues) -> Model:
+def _model(known: PosteriorModel, values: MeasuredValues) -> Model:
     """The values (n, m) at sets, as the tests' are told, by what was learned."""
     surrogate = known.reduced or known.learned.surrogate
     return lambda sets: values.of(surrogate.residuals(sets))
 
 
 def _answer(
-    known: Known,
+    known: PosteriorModel,
     place: int,
     tests: TestScatter,
     before: Beforehand,
@@ -247,7 +247,7 @@ def _answer(
 
 
 def _within_limits(
-    known: Known, answers: list[tuple[ScatterAnswer, ParameterScatter]]
+    known: PosteriorModel, answers: list[tuple[ScatterAnswer, ParameterScatter]]
 ) -> list[tuple[ScatterAnswer, ParameterScatter]]:
     """Answers whose mean keeps the limits of responses. Raises CampaignError where none does."""
     posterior, found = known.learned.posterior, []
@@ -286,7 +286,7 @@ def _shares(
     return np.asarray(shares / shares.sum())
 
 
-def _missed(known: Known, sets: Floats, values: MeasuredValues) -> Floats:
+def _missed(known: PosteriorModel, sets: Floats, values: MeasuredValues) -> Floats:
     """What full solutions have more than what was learned, (n, m)."""
     parameters = known.campaign.parameters
     inside = np.clip(sets, parameters.lower, parameters.upper)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.sample.study import Record
 from modetune.flows.studies.scatter.request import ScatterRequest
-from modetune.flows.studies.study import Opened, RunOptions, study
+from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 
 @study(RunOptions)
-def scatter(on: Opened, request: ScatterRequest, record: Record = None) -> StudyResult:
+def scatter(on: StudyContext, request: ScatterRequest, record: Record = None) -> StudyResult:
     """What makes repeated tests differ: mean and covariance of the parameters behind them.
 
     Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be

@@ -9,7 +9,7 @@ import numpy as np
 
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
-from modetune.flows.studies.sample.summary import Said, StudyFinding, red_first
+from modetune.flows.studies.sample.summary import Sentences, StudyFinding, red_first
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 
 #: A likelihood of the measured scatter below it says that the parameters do not explain it.
@@ -101,7 +101,7 @@ def findings(record: ScatterRecord) -> tuple[StudyFinding, ...]:
     return red_first(_findings(record))
 
 
-def _findings(record: ScatterRecord) -> Said:
+def _findings(record: ScatterRecord) -> Sentences:
     seen = [answer for answer in record.answers if answer.share >= SECOND]
     if len(seen) > 1:
         yield (
@@ -115,7 +115,7 @@ def _findings(record: ScatterRecord) -> Said:
         yield from ((red, of + text) for red, text in _of_answer(answer))
 
 
-def _of_answer(answer: ScatterAnswer) -> Said:
+def _of_answer(answer: ScatterAnswer) -> Sentences:
     if not answer.rounds:
         yield True, "mean and covariance did not settle; narrow the parameters' bounds"
     if answer.lack < UNLIKELY:

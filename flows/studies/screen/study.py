@@ -9,7 +9,7 @@ import typer
 
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.screen.request import ScreeningRequest
-from modetune.flows.studies.study import Opened, RunOptions, study
+from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 Out = Annotated[
     Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
@@ -17,7 +17,7 @@ Out = Annotated[
 
 
 @study(RunOptions)
-def screen(on: Opened, request: ScreeningRequest, out: Out = None) -> StudyResult:
+def screen(on: StudyContext, request: ScreeningRequest, out: Out = None) -> StudyResult:
     """Screen candidate parameters, and propose which of them to update, with a reason for each.
 
     Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same

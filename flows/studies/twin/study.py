@@ -9,7 +9,7 @@ import typer
 
 from modetune.flows.report.tables import Table
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import At, CampaignOptions, Opened, study
+from modetune.flows.studies.study import At, CampaignOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.flows.campaign.campaign import Campaign
@@ -22,13 +22,13 @@ class TwinOptions(CampaignOptions):
 
     at: At = None
 
-    def open(self, progress: Progress, campaign: Campaign | None) -> Opened:
-        return Opened(self.campaign_file.stem, progress)
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
+        return StudyContext(self.campaign_file.stem, progress)
 
 
 @study(TwinOptions)
 def twin(
-    on: Opened,
+    on: StudyContext,
     options: TwinOptions,
     solvers: Annotated[
         str, typer.Option(help="Solvers to compare, with commas; the first is the reference.")

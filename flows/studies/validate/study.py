@@ -9,7 +9,7 @@ import typer
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import CampaignOptions, Opened, study
+from modetune.flows.studies.study import CampaignOptions, StudyContext, study
 
 if TYPE_CHECKING:
     from modetune.flows.studies.validate.validation import Validation
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @study(CampaignOptions)
 def validate(
-    on: Opened,
+    on: StudyContext,
     leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Update without each used mode in turn.")
     ] = False,

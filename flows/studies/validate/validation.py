@@ -251,7 +251,9 @@ def _fold(
     evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
     if evaluator is None:
         evaluator = evaluator_of(campaign, engine, like=whole.campaign)
-    updating = Updating(campaign, evaluator, _Told(fold.name, working), lambda record: None)
+    updating = Updating(
+        campaign, evaluator, _NamedProgress(fold.name, working), lambda record: None
+    )
     try:
         with one_thread() if known else nullcontext():
             record = updating.run()
@@ -281,7 +283,7 @@ def _judged(fold: Fold, record: CampaignRecord) -> Fold:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told(Progress):
+class _NamedProgress(Progress):
     """Progress of one update among several: what it does now, under its name."""
 
     name: str

@@ -91,7 +91,7 @@ class Change:
         """The change with more notes."""
         return replace(self, notes=(*self.notes, *notes))
 
-    def told(self) -> dict[str, Json]:
+    def to_json(self) -> dict[str, Json]:
         name = self.source.path.name
         old, new = self.source.text.splitlines(), self.text.splitlines()
         lines = difflib.unified_diff(old, new, name, name, lineterm="", n=2)

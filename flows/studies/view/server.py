@@ -90,7 +90,7 @@ class Pose(BaseModel):
         return np.asarray(nearest), np.array(self.translation)
 
 
-class Asked(BaseModel):
+class PageRequest(BaseModel):
     """One change that the page asks for; base: of the one that was shown, when it is to be written.
 
     pairs: test mode to elastic mode; landmarks: test point to node or place; pose: the test moved
@@ -226,11 +226,11 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
         return JSONResponse(fitted_pose(part(configuration), *asked.arrays()))
 
     @app.post("/change")
-    def change(asked: Asked) -> Response:
+    def change(asked: PageRequest) -> Response:
         made = asked.change(part(asked.configuration))
         if asked.base:
             made.write(asked.base)
-        return JSONResponse({**made.told(), "written": bool(asked.base)})
+        return JSONResponse({**made.to_json(), "written": bool(asked.base)})
 
     return app
 
