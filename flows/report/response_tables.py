@@ -44,7 +44,8 @@ def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
         initial, updated = scores(before), scores(after)
         if initial is not None and updated is not None:
             for (item, target, start), (_, _, end) in zip(initial, updated, strict=True):
-                yield ResponseRow(block.kind, item, target, start, end, *([np.nan] * 3), False)
+                numbers = item, target, start, end, np.nan, np.nan, np.nan
+                yield ResponseRow(block.kind, *numbers, False)
             continue
         limits = after.limits
         outside = breach(after.values, limits) > 0.0

@@ -6,11 +6,11 @@ import numpy as np
 
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.result import StudyResult
-from modetune.flows.studies.study import DeckOptions, Opened, study
+from modetune.flows.studies.study import DeckOptions, StudyContext, study
 
 
 @study(DeckOptions)
-def spacing(on: Opened) -> StudyResult:
+def spacing(on: StudyContext) -> StudyResult:
     """Find the two elastic modes of a model whose frequencies are closest."""
     from modetune.flows.updating.mode_source import model_modes
 
