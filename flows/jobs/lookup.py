@@ -1,8 +1,9 @@
-"""Finding a job in a store by the start of its key, whatever became of it."""
+"""Look up jobs in a store: by the start of a key, in any state, and the nearest to a job."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,9 +13,16 @@ from modetune.adapters.process import LOG, log_tail
 from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.deck_texts import kept_text
-from modetune.flows.jobs.explain import AskedJob, Nearest, asked_by_note, asked_of
+from modetune.flows.jobs.explain import (
+    AskedJob,
+    Nearest,
+    Texts,
+    asked_by_note,
+    asked_of,
+    differences_with_places,
+)
 from modetune.flows.jobs.job import NOTE_FILE, read_note
-from modetune.flows.jobs.nearest import nearest
+from modetune.flows.jobs.store_index import ask_index
 
 #: What became of a job; `damaged`: its result was set aside because its checksum did not hold.
 State = Literal["stored", "failed", "under way or broken off", "damaged", "kept", "not run"]
@@ -117,3 +125,22 @@ def _job_of_folder(key: str, folder: Path) -> AskedJob | None:
     except OSError:
         return None
     return asked_by_note(key, note) if note else None
+
+
+def nearest(store: Store, jobs: Sequence[AskedJob], texts: Texts) -> list[Nearest | None]:
+    """Return for each job the nearest stored result of another job; None in an empty store.
+
+    texts: the deck's lines by the digest of a model, where there are any.
+    """
+    if not jobs:
+        return []
+    keys = ask_index(store, lambda index: [index.nearest(job) for job in jobs])
+    return [_first_whole(store, job, near, texts) for job, near in zip(jobs, keys, strict=True)]
+
+
+def _first_whole(store: Store, job: AskedJob, keys: Sequence[str], texts: Texts) -> Nearest | None:
+    for key in keys:
+        holding = store.holding(key)
+        if holding is not None:
+            return Nearest(key, differences_with_places(job, asked_of(holding), texts))
+    return None

@@ -21,8 +21,7 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
-from modetune.flows.jobs.lookup import Explanation
-from modetune.flows.jobs.nearest import nearest
+from modetune.flows.jobs.lookup import Explanation, nearest
 from modetune.flows.updating.evaluators import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import Updating, read_earlier, start_of

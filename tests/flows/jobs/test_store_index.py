@@ -24,7 +24,7 @@ from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs import store_index
 from modetune.flows.jobs.explain import AskedJob, asked_of, differences
 from modetune.flows.jobs.job import JobNote
-from modetune.flows.jobs.nearest import nearest
+from modetune.flows.jobs.lookup import nearest
 from modetune.flows.jobs.store_index import Chosen, IndexedEntry, StoreIndex, ask_index
 from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_locks import without_flock
