@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from inspect import cleandoc
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, TypeVar, get_args
@@ -39,6 +38,10 @@ from modetune.flows.responses.section import (
 #: Keys by mode, and by sensor.
 ModeKey = Literal["frequency_weight", "shape_weight", "frequency_deviation", "shape_deviation"]
 SensorKey = Literal["sensor_weight", "sensor_deviation"]
+#: Keys by mode in the order of the fields of a weighting.
+WEIGHTING: tuple[ModeKey, ...] = (
+    "frequency_deviation", "shape_deviation", "frequency_weight", "shape_weight",
+)  # fmt: skip
 #: The response types besides frequencies and shapes, in the order of their rows: the file of this
 #: folder, whose name is the type's key below `residuals`, and the section in it.
 TYPES = (
@@ -184,47 +187,32 @@ def weighting_of(
 ) -> Weighting:
     """Return the weighting of a test's modes at their sensors.
 
-    Deviations that the campaign does not give may come from the test."""
-    of_test = _deviations(measurement)
-    by_mode = [
-        np.array([section.of_mode(key, n, of_test.get(key, {}).get(n)) for n in test.numbers])
-        for key in ("frequency_deviation", "shape_deviation", "frequency_weight", "shape_weight")
-    ]
-    by_sensor = [
+    Deviations that the campaign does not give may come from the test, and with those of frequencies
+    their correlation.
+    """
+    modes, known = measurement.modes, measurement.deviations
+    of_test: dict[str, Floats] = {}
+    correlation = np.zeros((0, 0))
+    if modes is not None and known is not None:
+        rows = [modes.numbers.index(number) for number in test.numbers]
+        of_test["frequency_deviation"] = known.frequencies[rows]
+        of_test["shape_deviation"] = known.shapes[rows]
+        if known.correlation is not None:
+            own = [section.of_mode("frequency_deviation", n, math.nan) for n in test.numbers]
+            by_test = np.outer(np.isnan(own), np.isnan(own))
+            correlation = np.where(by_test, known.correlation[np.ix_(rows, rows)], 0.0)
+            np.fill_diagonal(correlation, 1.0)
+    by_mode = []
+    for key in WEIGHTING:
+        found = of_test.get(key, np.full(len(test.numbers), np.nan)).tolist()
+        values = [value if math.isfinite(value) else None for value in found]
+        pairs = zip(test.numbers, values, strict=True)
+        by_mode.append(np.array([section.of_mode(key, *pair) for pair in pairs]))
+    by_sensor = (
         _by_sensor(values, test.modes)
         for values in (section.sensor_deviation, section.sensor_weight)
-    ]
-    correlation = _correlation(section, measurement, test)
-    return replace(Weighting(*by_mode, *by_sensor), frequency_correlation=correlation)
-
-
-def _correlation(section: ResidualSection, measurement: Measurement, test: MeasuredModes) -> Floats:
-    """Return the correlation (n, n) of frequencies whose deviations the test gives; else (0, 0)."""
-    modes, known = measurement.modes, measurement.deviations
-    if modes is None or known is None or known.correlation is None:
-        return np.zeros((0, 0))
-    rows = [modes.numbers.index(number) for number in test.numbers]
-    told = np.array([section.of_mode("frequency_deviation", n, math.nan) for n in test.numbers])
-    by_test = np.isnan(told)
-    found = np.where(np.outer(by_test, by_test), known.correlation[np.ix_(rows, rows)], 0.0)
-    np.fill_diagonal(found, 1.0)
-    return found
-
-
-def _deviations(measurement: Measurement) -> dict[str, dict[int, float]]:
-    """Return the deviations from the test, by the campaign's key and the mode's number."""
-    modes, known = measurement.modes, measurement.deviations
-    if modes is None or known is None:
-        return {}
-    columns = {"frequency_deviation": known.frequencies, "shape_deviation": known.shapes}
-    return {
-        key: {
-            number: value
-            for number, value in zip(modes.numbers, values.tolist(), strict=True)
-            if np.isfinite(value)
-        }
-        for key, values in columns.items()
-    }
+    )
+    return Weighting(*by_mode, *by_sensor, frequency_correlation=correlation)
 
 
 def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes:
