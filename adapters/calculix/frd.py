@@ -13,7 +13,6 @@ import io
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,15 +38,6 @@ TIMEOUT_S = 24 * 3600.0
 REMEDY = "remove its folder and run the same command again, which takes the shapes from the store"
 
 
-@dataclass(frozen=True, slots=True)
-class FrdContents:
-    """Numbers of nodes (n,) and elements (n_elements,) in their order, and how many modes."""
-
-    nodes: Integers
-    elements: Integers
-    n_modes: int
-
-
 def with_frd(text: str) -> str:
     """The text of a modal job that writes shapes to its .frd file too.
 
@@ -63,9 +53,9 @@ def convert_frd(frd: Path, n_modes: int, folder: Path) -> Iterator[pyvista.Unstr
     """
     import pyvista
 
-    contents = count_frd(frd)
-    if contents.n_modes < n_modes:
-        raise NoResult(f"{frd} holds {contents.n_modes} modes, {n_modes} were computed: {REMEDY}")
+    nodes, elements, n_held = count_frd(frd)
+    if n_held < n_modes:
+        raise NoResult(f"{frd} holds {n_held} modes, {n_modes} were computed: {REMEDY}")
     command = Command((sys.executable, "-P", "-m", CONVERTER, str(frd.resolve())))
     finished = run_process(command, folder, TIMEOUT_S, threading.Event())
     for mode in range(1, n_modes + 1):
@@ -75,26 +65,29 @@ def convert_frd(frd: Path, n_modes: int, folder: Path) -> Iterator[pyvista.Unstr
             raise NoResult(f"ccx2paraview could not convert {frd} ({said.strip()}): {REMEDY}")
         grid = pyvista.read(path)
         assert isinstance(grid, pyvista.UnstructuredGrid)
-        yield _named(grid, contents, frd)
+        yield _named(grid, nodes, elements, frd)
 
 
 def _named(
-    grid: pyvista.UnstructuredGrid, contents: FrdContents, frd: Path
+    grid: pyvista.UnstructuredGrid, nodes: Integers, elements: Integers, frd: Path
 ) -> pyvista.UnstructuredGrid:
     """A grid of ccx2paraview's with the names that all of modetune's have."""
     shape = np.asarray(grid.point_data[DISPLACEMENT]) if DISPLACEMENT in grid.point_data else None
     sizes = grid.n_points, grid.n_cells
-    if shape is None or sizes != (contents.nodes.size, contents.elements.size):
+    if shape is None or sizes != (nodes.size, elements.size):
         raise NoResult(f"ccx2paraview made something else of {frd}: {REMEDY}")
     grid.clear_data()
     grid.point_data[SHAPE] = shape
-    grid.point_data[NODE] = contents.nodes
-    grid.cell_data[ELEMENT] = contents.elements
+    grid.point_data[NODE] = nodes
+    grid.cell_data[ELEMENT] = elements
     return grid
 
 
-def count_frd(frd: Path) -> FrdContents:
-    """What a .frd file holds. Raises NoResult where it cannot be read or is cut short."""
+def count_frd(frd: Path) -> tuple[Integers, Integers, int]:
+    """Return nodes (n,) and elements (n_elements,) of a .frd file and its number of modes.
+
+    Raises NoResult where it cannot be read or is cut short.
+    """
     blocks: dict[str, list[int]] = {"2C": [], "3C": []}
     n_modes, rows, inside, line = 0, 0, "", ""
     try:
@@ -119,7 +112,7 @@ def count_frd(frd: Path) -> FrdContents:
     nodes, elements = (np.array(blocks[name], dtype=np.int64) for name in ("2C", "3C"))
     if (np.diff(nodes) <= 0).any():  # ccx2paraview takes results in ascending order
         raise NoResult(f"{frd}: the nodes do not ascend: {REMEDY}")
-    return FrdContents(nodes, elements, n_modes)
+    return nodes, elements, n_modes
 
 
 def _check_rows(frd: Path, mode: int, rows: int, expected: int) -> None:

@@ -31,6 +31,8 @@ from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation
 from modetune.core.updating.static_model import LoadCase
 
+#: Sections whose numbers parameters name by their element set.
+BY_SET = tuple(row.name for row in CARDS.values() if row.owner == "elset" and row.numbers)
 #: Items of Young's moduli of engineering constants.
 DIRECTIONS = (1, 2, 3)
 
@@ -78,13 +80,48 @@ class CalculixModel(Deck):
         return self.structure.split
 
     def targets(self) -> tuple[Target, ...]:
-        return targets(self.structure)
+        """Materials and sections with elements, each once."""
+        found: dict[tuple[str, str], Target] = {}
+        for card in self.structure.deck.named("*MATERIAL", *BY_SET):
+            by_set = card.is_one_of(*BY_SET)
+            name = card.option("ELSET" if by_set else "NAME")
+            sections = [card] if by_set else self.structure.users({name})
+            count = len(frozenset[int]().union(*map(self.structure.members, sections)))
+            if name and count:
+                by: TargetKind = "elset" if by_set else "material"
+                found.setdefault((by, name), Target(by, (name,), card.keyword, count))
+        return tuple(found.values())
 
     def elastic_constants(self) -> dict[str, tuple[float, float]]:
-        return elastic_constants(self.structure)
+        """E, the largest one, and density (0 without) of each material that elements use."""
+        found = {}
+        for card in self.structure.deck.named("*MATERIAL"):
+            name, density = card.option("NAME"), 0.0
+            with suppress(ModelError):  # a material without density has stiffness alone
+                density = fields_of(self.structure, "density", name)[0].value
+            with suppress(ModelError):  # not used, or no such card
+                modulus = max(
+                    field.value for field in fields_of(self.structure, "youngs_modulus", name)
+                )
+                if modulus > 0.0:
+                    found[name] = modulus, max(density, 0.0)
+        return found
 
     def material_masses(self) -> dict[str, float]:
-        return material_masses(self.structure, cell_sizes(self.mesh()))
+        """Return about the mass of each material."""
+        found, sizes = dict[str, float](), cell_sizes(self.mesh())
+        for card in self.structure.deck.named("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION"):
+            members = self.structure.mesh.element_sets.get(card.option("ELSET"), frozenset())
+            size = sum(sizes.get(number, 0.0) for number in members)
+            rows = [self.structure.deck.fields(position) for position in card.data]
+            layers = [(card.option("MATERIAL"), _across(card, rows))]
+            if "COMPOSITE" in card.options:
+                layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
+            for name, across in layers:
+                with suppress(ModelError):  # a material that has no density
+                    mass = fields_of(self.structure, "density", name)[0].value * across * size
+                    found[name] = found.get(name, 0.0) + mass
+        return found
 
     def least_length(self) -> float:
         return min(super().least_length(), least_thickness(self.structure))
@@ -213,55 +250,6 @@ def least_thickness(structure: CalculixStructure) -> float:
         with suppress(ValueError):  # ccx says what is wrong with it
             found.append(read_number(text))
     return min(value for value in found if value > 0.0)
-
-
-def elastic_constants(structure: CalculixStructure) -> dict[str, tuple[float, float]]:
-    """E, the largest one, and density (0 without) of each material that elements use."""
-    found = {}
-    for card in structure.deck.named("*MATERIAL"):
-        name, density = card.option("NAME"), 0.0
-        with suppress(ModelError):  # a material without density has stiffness alone
-            density = fields_of(structure, "density", name)[0].value
-        with suppress(ModelError):  # not used, or no such card
-            modulus = max(field.value for field in fields_of(structure, "youngs_modulus", name))
-            if modulus > 0.0:
-                found[name] = modulus, max(density, 0.0)
-    return found
-
-
-#: Sections whose numbers parameters name by their element set.
-BY_SET = tuple(row.name for row in CARDS.values() if row.owner == "elset" and row.numbers)
-
-
-def targets(structure: CalculixStructure) -> tuple[Target, ...]:
-    """Materials and sections with elements, each once."""
-    found: dict[tuple[str, str], Target] = {}
-    for card in structure.deck.named("*MATERIAL", *BY_SET):
-        by_set = card.is_one_of(*BY_SET)
-        name = card.option("ELSET" if by_set else "NAME")
-        sections = [card] if by_set else structure.users({name})
-        count = len(frozenset[int]().union(*map(structure.members, sections)))
-        if name and count:
-            by: TargetKind = "elset" if by_set else "material"
-            found.setdefault((by, name), Target(by, (name,), card.keyword, count))
-    return tuple(found.values())
-
-
-def material_masses(structure: CalculixStructure, sizes: Mapping[int, float]) -> dict[str, float]:
-    """About the mass of each material; sizes: length, area or volume of each element."""
-    found: dict[str, float] = {}
-    for card in structure.deck.named("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION"):
-        members = structure.mesh.element_sets.get(card.option("ELSET"), frozenset())
-        size = sum(sizes.get(number, 0.0) for number in members)
-        rows = [structure.deck.fields(position) for position in card.data]
-        layers = [(card.option("MATERIAL"), _across(card, rows))]
-        if "COMPOSITE" in card.options:
-            layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
-        for name, across in layers:
-            with suppress(ModelError):  # a material that has no density
-                mass = fields_of(structure, "density", name)[0].value * across * size
-                found[name] = found.get(name, 0.0) + mass
-    return found
 
 
 def _number(text: str) -> float:

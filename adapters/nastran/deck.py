@@ -17,9 +17,7 @@ from pathlib import Path
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
 from modetune.adapters.nastran.fields import (
-    CardField,
     NastranCard,
-    changed_texts,
     read_cards,
     read_number,
 )
@@ -108,11 +106,6 @@ def with_added(
     lines = deck_files.with_added(deck.lines, changed, added)
     bulk = range(deck.bulk.start, deck.bulk.stop + len(lines) - len(deck.lines))
     return replace(deck, lines=lines, bulk=bulk, cards=read_cards(lines, bulk))
-
-
-def changed_lines(deck: NastranDeck, values: Mapping[CardField, float | int]) -> dict[int, str]:
-    """New texts of the lines in which these fields get new numbers. Raises ModelError."""
-    return changed_texts(deck.lines, values)
 
 
 def write_edited(deck: NastranDeck, changed: Mapping[int, str], folder: Path) -> Path:

@@ -15,8 +15,8 @@ from modetune.adapters.deck_numbers import Number, moved_numbers
 from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, read_bulk, refuse
 from modetune.adapters.nastran.case_control import OWN_PARAMETERS, CaseControl, read_case_control
 from modetune.adapters.nastran.damping import damped_groups, dampers
-from modetune.adapters.nastran.deck import NastranDeck, changed_lines, with_lines, write_edited
-from modetune.adapters.nastran.fields import CardField, read_number
+from modetune.adapters.nastran.deck import NastranDeck, with_lines, write_edited
+from modetune.adapters.nastran.fields import CardField, changed_texts, read_number
 from modetune.adapters.nastran.harmless import (
     FOLLOWED_PARAMETERS,
     HARMLESS,
@@ -207,7 +207,7 @@ class NastranModel(Deck):
         found = []
         for number, there in moved_numbers(parameter, self.numbers(parameter), value):
             field = number.place
-            (text,) = changed_lines(self.deck, {field: there}).values()
+            (text,) = changed_texts(self.deck.lines, {field: there}).values()
             behind = len(self.deck.lines[field.line].text) - field.stop
             read = read_number(text[field.start + len(field.lead) : len(text) - behind])
             if not number.along:
@@ -226,7 +226,7 @@ class NastranModel(Deck):
                     # A group's stiffness is scaled beside what others make of it.
                     before = values.get(number.place, number.value)
                     values[number.place] = there * (before / number.value if number.value else 1.0)
-        return changed_lines(self.deck, values)
+        return changed_texts(self.deck.lines, values)
 
     def edited(self, values: Values) -> Edited:
         return EditedNastran(self, self.changed(values), values)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from modetune.adapters.nastran.bulk import BY_LINES
 from modetune.adapters.nastran.cards import holds, idents_of, materials_named
-from modetune.adapters.nastran.deck import NastranDeck, changed_lines, with_added
-from modetune.adapters.nastran.fields import CardField, NastranCard, large_field
+from modetune.adapters.nastran.deck import NastranDeck, with_added
+from modetune.adapters.nastran.fields import CardField, NastranCard, changed_texts, large_field
 from modetune.adapters.nastran.structure import Copies, Structure
 from modetune.adapters.splitting import (
     OF_MATERIALS,
@@ -73,7 +73,7 @@ class _Edits:
 
     def deck(self) -> NastranDeck:
         deck = self.structure.deck
-        return with_added(deck, changed_lines(deck, self.numbers), self.added)
+        return with_added(deck, changed_texts(deck.lines, self.numbers), self.added)
 
 
 def split_properties(

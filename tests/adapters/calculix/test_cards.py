@@ -9,12 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modetune.adapters.calculix.cards import CARDS
 from modetune.adapters.calculix.places import edited_lines, find_fields, find_numbers
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
-from modetune.core.parameters import Parameter, Quantity, ValueKind, counted_from
+from modetune.core.parameters import (
+    DAMPING,
+    QUANTITIES,
+    Parameter,
+    Quantity,
+    ValueKind,
+    counted_from,
+)
 from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_affected_elements import D_MATRIX, LAMINATE, ORTHOTROPIC
 from tests.adapters.calculix.test_model import model_of, parameter
@@ -154,3 +162,10 @@ def test_engineering_constants_are_those_of_an_isotropic_material(tmp_path: Path
     )
     scaled = eigenvalues(tmp_path, nine, parameter("youngs_modulus", "A"), 2.0)
     np.testing.assert_allclose(scaled, eigenvalues(tmp_path, two), rtol=1e-6)
+
+
+@pytest.mark.parametrize("keyword", CARDS)
+def test_a_card_has_quantities_that_parameters_name_by_its_owner(keyword: str) -> None:
+    row = CARDS[keyword]
+    assert all(row.owner in QUANTITIES[quantity].targets for quantity in row.numbers)
+    assert row.moves or set(row.numbers) <= DAMPING

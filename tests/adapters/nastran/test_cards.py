@@ -12,13 +12,20 @@ import numpy as np
 import pytest
 from pyNastran.bdf.bdf import BDF
 
+from modetune.adapters.nastran.cards import CARDS
 from modetune.adapters.nastran.deck import read_deck, write_edited
 from modetune.adapters.nastran.dialect import MYSTRAN
 from modetune.adapters.nastran.model import NastranModel, understand
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import ModelError
-from modetune.core.parameters import Parameter, ParameterSet, frequency_reach
+from modetune.core.parameters import (
+    DAMPING,
+    QUANTITIES,
+    Parameter,
+    ParameterSet,
+    frequency_reach,
+)
 from modetune.core.updating.job_results import ModalResult
 from tests.adapters.nastran.test_model import parameter
 from tests.adapters.test_solver_contract import run
@@ -416,3 +423,17 @@ def test_mystran_bends_and_weighs_as_closed_forms_say(tmp_path: Path) -> None:
     lighter = modes(tmp_path, thin, weighs, 0.2).eigenvalues
     np.testing.assert_allclose(lighter / nominal, mass / (mass - 0.8 * 1.5), rtol=1e-5)
     assert math.isclose(mass, 4.2)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_a_card_has_quantities_that_parameters_name_by_its_owner(name: str) -> None:
+    row = CARDS[name]
+    by = "element" if row.owner == "mass" else row.owner
+    assert all(by in QUANTITIES[quantity].targets for quantity in row.numbers)
+    assert {quantity for quantity, law in row.numbers.items() if not law.moves} <= DAMPING
+
+
+def test_springs_without_a_property_have_no_damping(tmp_path: Path) -> None:
+    deck = tmp_path / "springs.bdf"
+    deck.write_text("BEGIN BULK\nCELAS4,1,900.,1,2\nCMASS4,2,1.,1\nENDDATA\n")
+    assert "the deck has no damping" in understand(read_deck(deck)).undamped()

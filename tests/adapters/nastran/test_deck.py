@@ -17,8 +17,14 @@ from hypothesis import strategies as st
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.field_writer_8 import print_float_8
 
-from modetune.adapters.nastran.deck import NastranDeck, changed_lines, read_deck, write_edited
-from modetune.adapters.nastran.fields import CardField, NastranCard, format_number, read_number
+from modetune.adapters.nastran.deck import NastranDeck, read_deck, write_edited
+from modetune.adapters.nastran.fields import (
+    CardField,
+    NastranCard,
+    changed_texts,
+    format_number,
+    read_number,
+)
 from modetune.core.errors import ModelError
 
 #: The last digits before a double overflows may round to what is none.
@@ -288,7 +294,7 @@ def test_only_changed_lines_differ_and_includes_stay(tmp_path: Path) -> None:
     )
     deck = read_deck(main)
     fields = {field_of(card, 2): 72345.0 for card in deck.named("MAT1")}
-    written = write_edited(deck, changed_lines(deck, fields), tmp_path / "out")
+    written = write_edited(deck, changed_texts(deck.lines, fields), tmp_path / "out")
     out = tmp_path / "out"
     assert written == out / "main.bdf"
     assert written.read_text() == (
@@ -320,7 +326,7 @@ def test_only_changed_lines_differ_and_includes_stay(tmp_path: Path) -> None:
 )
 def test_a_number_keeps_its_format_and_place(tmp_path: Path, before: str, after: str) -> None:
     deck = read_deck(write(tmp_path, main=before))
-    changed = changed_lines(deck, {field_of(deck.cards[0], 2): 72345.671234})
+    changed = changed_texts(deck.lines, {field_of(deck.cards[0], 2): 72345.671234})
     assert changed[0].expandtabs() == after.expandtabs()
     # What pyNastran reads of the line is the number as it was written there.
     bulk = BDF(debug=None)
@@ -331,7 +337,7 @@ def test_a_number_keeps_its_format_and_place(tmp_path: Path, before: str, after:
 def test_a_number_that_is_none_is_refused_with_its_line(tmp_path: Path) -> None:
     deck = read_deck(write(tmp_path, main="GRID,1\nMAT1,1,2.\n"))
     with pytest.raises(ModelError, match=r"main\.bdf, line 2: inf is not a finite number"):
-        changed_lines(deck, {field_of(deck.cards[1], 2): float("inf")})
+        changed_texts(deck.lines, {field_of(deck.cards[1], 2): float("inf")})
 
 
 def small(fields: list[str]) -> str:
@@ -379,7 +385,7 @@ def test_one_number_changes_and_nothing_else(
         main = write(Path(name), main=text)
         deck = read_deck(main)
         card = deck.cards[1]
-        changed = changed_lines(deck, {field_of(card, place + 2): new})
+        changed = changed_texts(deck.lines, {field_of(card, place + 2): new})
         written = write_edited(deck, changed, Path(name) / "out")
         after, raw = read_deck(written).cards[1], written.read_text()
     expected = texts(card)
@@ -468,7 +474,7 @@ def test_a_number_of_a_repeated_card_is_not_changed_by_itself(tmp_path: Path) ->
     field = deck.cards[1].fields[2]
     assert field is not None
     with pytest.raises(ModelError, match=r"line 2: the number 100\. .*write the card out"):
-        changed_lines(deck, {field: 110.0})
+        changed_texts(deck.lines, {field: 110.0})
 
 
 def test_a_comma_makes_free_field_in_the_first_ten_columns_only(tmp_path: Path) -> None:
@@ -490,7 +496,7 @@ def test_blanks_part_fields_of_a_free_line_too(tmp_path: Path) -> None:
     assert [bush.text(field) for field in range(1, 5)] == ["7211", "7010", "", "205"]
     thickness = shear.fields[3]
     assert thickness is not None
-    changed = changed_lines(deck, {thickness: 2.5})
+    changed = changed_texts(deck.lines, {thickness: 2.5})
     assert changed == {0: "PSHEAR, 401     1       2.5     0.5, 1.,30.$ F1"}
 
 
