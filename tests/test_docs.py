@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import importlib.util
 import inspect
 import json
@@ -362,6 +364,34 @@ def test_every_path_and_program_of_the_pages_exists(page: Path) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"^make (\w+)|`make (\w+)", text, re.MULTILINE):
         assert re.search(rf"^{''.join(target)}:", makefile, re.MULTILINE), target
+
+
+#: Not a module but the group of entry points by which packages bring solvers.
+ENTRY_POINTS = "modetune.solvers"
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE[:2]], ids=lambda page: page.name)
+def test_every_python_name_of_the_pages_exists(page: Path) -> None:
+    text = page.read_text()
+    names = set(re.findall(r"`(modetune(?:\.\w+)+)", text)) - {ENTRY_POINTS}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("modetune"):
+                names |= {f"{node.module}.{imported.name}" for imported in node.names}
+    described = re.findall(r"`(\w+)\S*` of `(modetune\.[\w.]+)`", text)
+    names |= {f"{module}.{name}" for name, module in described}
+    for name in names:
+        assert resolved(name), name
+
+
+def resolved(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        importlib.import_module(name)
+    except ModuleNotFoundError:
+        return bool(module) and hasattr(importlib.import_module(module), attribute)
+    return True
 
 
 def test_the_glossary_has_one_meaning_for_a_term() -> None:
