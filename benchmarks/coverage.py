@@ -49,11 +49,11 @@ from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import Execution
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.updating.evaluation import compare
-from modetune.flows.updating.evaluator import CaseState, Evaluator
+from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.matrices import MatrixSource
-from modetune.flows.updating.mode_source import campaign_analysis
-from modetune.flows.updating.reduced_model import ByReduced, reduced_modal
+from modetune.flows.updating.mode_source import CaseState, campaign_analysis
+from modetune.flows.updating.reduced_model import ReducedModes
 from modetune.flows.updating.update import Updating
 
 #: Standard errors beside the value that hold the truth in 95 of 100 cases.
@@ -203,8 +203,10 @@ class Model:
         self.dofs = np.flatnonzero(observer @ np.ones(here.nodes.size))
 
     def modal(self, theta: Floats) -> ModalResult:
-        return reduced_modal(
-            self.reduced, theta, self.n_modes, self.n_rigid, self.nodes, self.components
+        eigenvalues, shapes = self.reduced.modes(theta, self.n_modes)
+        energies = 0.5 * eigenvalues
+        return ModalResult.of_shapes(
+            eigenvalues, shapes, self.nodes, self.components, energies, self.n_rigid
         )
 
     def measured(self, truth: Floats, rng: Generator) -> ModeSet:
@@ -232,7 +234,7 @@ class Model:
             own,
             np.arange(len(own.parameters)),
             self.engine,
-            ByReduced(self.reduced, around, name),
+            ReducedModes(self.reduced, around, around.key, name=name),
             campaign_analysis(own),
         )
         evaluator = Evaluator(own, [state], Execution(self.engine))

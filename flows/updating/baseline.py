@@ -22,7 +22,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 
 #: Which model of a record: as updating left it, or as it started.
 State = Literal["updated", "initial"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.core.errors import NotComputed, NotStored
-from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
+from modetune.core.storage.record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
@@ -21,8 +21,9 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
-from modetune.flows.jobs.lookup import Explanation, nearest
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.jobs.lookup import Explanation
+from modetune.flows.jobs.nearest import nearest
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import Updating, read_earlier, start_of
 

@@ -7,29 +7,30 @@ one kind of response after the other, and in each the cases in turn.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from modetune.core.correlation.clusters import rotation_to_test
-from modetune.core.correlation.holdout import (
+from modetune.core.correlation.held_out import (
     HeldOut,
     judge_held_out,
     pair_held_out,
     track_held_out,
 )
-from modetune.core.correlation.pairing import (
-    Pairing,
+from modetune.core.correlation.matching import (
     PairRules,
     UncertainPairs,
     first_pairing,
     next_pairing,
     uncertain_pairs,
 )
+from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
-from modetune.core.updating.job_results import ModalResult
-from modetune.core.updating.parameter_steps import Step, breach
+from modetune.core.updating.estimation import Step
+from modetune.core.updating.limits import breach
 from modetune.core.updating.residual import residual, responses_agree
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -41,8 +42,11 @@ from modetune.core.updating.responses.response import (
     stacked_rows,
     with_values,
 )
+from modetune.core.updating.results import ModalResult, ModeDerivatives
 from modetune.flows.campaign.case import Case, node_base, side_by_side
 
+#: Most points that modes are tracked from: the nearest of that many is near, and they take memory.
+MOST_KNOWN = 400
 #: Kinds whose e1 is asked of the pairs themselves, whether they are compared or not.
 BY_MODES = ("frequencies", "shapes", "mac")
 #: Those of them that foretell a MAC.
@@ -367,3 +371,52 @@ def _expects(predicted: Floats, part: CaseEvaluation, tolerances: Tolerances) ->
     ):
         return False
     return responses_agree(part.responses, foreseen)
+
+
+def at_sensors(case: Case, part: CaseEvaluation, derivatives: ModeDerivatives) -> ModeDerivatives:
+    """Return derivatives with those of shapes at the test's sensors."""
+    if not case.needs("shapes"):
+        return derivatives
+    modes = part.modal.modes
+    observer = case.sensors.matrix(modes.nodes, modes.components)
+    shapes = derivatives.mode_shapes
+    seen = observer @ shapes.reshape(shapes.shape[0], -1)
+    return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+
+
+@dataclass(slots=True)
+class ModeTrack:
+    """Evaluated points; where the test has no shapes, modes are tracked from the nearest of them.
+
+    width: (n_parameters,), the unit of distances; extend: whether new points join, up to
+    MOST_KNOWN.
+    """
+
+    width: Floats
+    known: list[Evaluation]
+    extend: bool
+    _places: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
+        """Return the waiting point nearest to a known one, where it will join them."""
+        if not (self.known and self.extend) or len(waiting) == 1:
+            return waiting[0]
+        return waiting[int(np.argmin(self._distances(thetas[list(waiting)]).min(axis=1)))]
+
+    def nearest(self, theta: Floats) -> Evaluation | None:
+        """Return the known point nearest to a point."""
+        if len(self.known) < 2:
+            return self.known[0] if self.known else None
+        return self.known[int(np.argmin(self._distances(theta[None])))]
+
+    def join(self, evaluation: Evaluation) -> None:
+        """Add a new point, if points may join."""
+        if self.extend and len(self.known) < MOST_KNOWN:
+            self.known.append(evaluation)
+
+    def _distances(self, thetas: Floats) -> Floats:
+        if len(self._places) != len(self.known):
+            self._places = np.stack([evaluation.theta for evaluation in self.known]) / self.width
+        return np.asarray(
+            scipy.spatial.distance.cdist(thetas / self.width, self._places, "sqeuclidean")
+        )

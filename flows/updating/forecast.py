@@ -22,7 +22,7 @@ from modetune.flows.jobs.job import Job, analysis_kind
 from modetune.flows.jobs.job_prices import NEWEST, Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import CORES
 from modetune.flows.report.tables import json_object
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 
 #: So many of the newest results are looked at after an iteration.
 NEWEST_LATER = 20

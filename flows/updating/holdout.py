@@ -10,8 +10,8 @@ from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.errors import ModesError, SolverError
 from modetune.core.modes import Floats, ModeSet
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, judged
-from modetune.flows.updating.evaluator import AskedModes, CaseState, Evaluator, Pieces
-from modetune.flows.updating.mode_source import CAMPAIGNS_OWN
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, CaseState, ModeRequest
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +27,7 @@ def held_out(evaluator: Evaluator, initial: Evaluation, updated: Evaluation) -> 
         if (held := judged(state.case, before, after)) is not None
     ]
     found += [
-        (state, _case_held_out(evaluator.pieces, state, initial.theta, updated.theta))
+        (state, _case_held_out(evaluator, state, initial.theta, updated.theta))
         for state in evaluator.aside
     ]
     if not evaluator.campaign.only:  # results of several cases carry their names
@@ -38,12 +38,14 @@ def held_out(evaluator: Evaluator, initial: Evaluation, updated: Evaluation) -> 
     return join_held_out([held for _, held in found])
 
 
-def _case_held_out(pieces: Pieces, state: CaseState, initial: Floats, updated: Floats) -> HeldOut:
+def _case_held_out(
+    evaluator: Evaluator, state: CaseState, initial: Floats, updated: Floats
+) -> HeldOut:
     states: list[tuple[ModeSet, Pairing]] = []
     before = None
     for theta in (initial, updated):
         try:
-            before = _evaluated(pieces, state, state.own(theta), before)
+            before = _evaluated(evaluator, state, state.own(theta), before)
             states.append((before.seen, before.pairing))
         except (ModesError, SolverError) as error:
             if isinstance(error, CAMPAIGNS_OWN):
@@ -54,11 +56,11 @@ def _case_held_out(pieces: Pieces, state: CaseState, initial: Floats, updated: F
 
 
 def _evaluated(
-    pieces: Pieces, state: CaseState, theta: Floats, before: CaseEvaluation | None
+    evaluator: Evaluator, state: CaseState, theta: Floats, before: CaseEvaluation | None
 ) -> CaseEvaluation:
-    item = AskedModes(0, state, theta, state.analysis)
+    item = ModeRequest(0, state, theta, state.analysis)
     while True:
-        key, modal = pieces.modes("held out", state, theta, item.analysis)
+        key, modal = evaluator.case_modes("held out", state, theta, item.analysis)
         try:
             return item.compared(key, modal, before)
         except LostMode as error:

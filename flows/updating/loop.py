@@ -19,15 +19,18 @@ from typing import Protocol
 
 import numpy as np
 
-from modetune.core.errors import ModesError, SolverError
+from modetune.core.errors import ModelError, ModesError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.updating.criteria import slope
 from modetune.core.updating.parameter_steps import BELIEVED, Step, TrustRegion
 from modetune.core.updating.sensitivity import broyden_update
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.watching import doing
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.mode_source import CAMPAIGNS_OWN
+from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, REDUCED, CaseState
+from modetune.flows.updating.reduced_model import ACCURATE, CONFIRMED, ByMatrices
+from modetune.flows.updating.sensitivities import UnlikeMatrices
 from modetune.flows.updating.step import Stepping
 
 logger = logging.getLogger(__name__)
@@ -49,8 +52,8 @@ SAME_END = 1e-3
 STATIONARY = 1e-4
 #: An old matrix whose step gains less than this share of what it promised is computed anew.
 KEPT_PROMISE = 0.25
-#: Frequencies by stored matrices and by the solver itself that differ more are not one model's.
-CONFIRMED = 1e-4
+#: Most steps on the reduced models; they take next to no time.
+ITERATIONS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +226,7 @@ class Trials:
     watcher: Watcher
     region: tuple[Floats, Floats] | None
     first: int
+    foresight: Foresight | None = None
     newest: Matrix | None = None
 
     def __post_init__(self) -> None:
@@ -230,7 +234,8 @@ class Trials:
         low, high = self.region or (own.lower, own.upper)
         box = np.maximum(own.lower, low), np.minimum(own.upper, high)
         self.between = Between(self.campaign, self.evaluator, *box)
-        self.stepping = Stepping(self.campaign, self.evaluator, *box)
+        refined = self.foresight.refined if self.foresight else lambda *_: None
+        self.stepping = Stepping(self.campaign, refined, *box)
 
     def used_up(self) -> bool:
         """Whether there are no iterations left."""
@@ -328,9 +333,23 @@ class Trials:
             or expects_agreement(by.step, current, self.campaign.tolerances)
         )
         theta = current.theta + by.step.change
-        evaluation, fresh = self.evaluator.evaluate(self.number, theta, current, alone)
+        evaluation, fresh = self._evaluated(theta, current, alone)
         change = slope(evaluation.residual, current.residual, theta.size)
         return Trial(by, evaluation, fresh, change)
+
+    def _evaluated(
+        self, theta: Floats, previous: Evaluation, alone: bool
+    ) -> tuple[Evaluation, Matrix | None]:
+        """Return the evaluation of a point, or its prediction where that is accurate enough."""
+        if self.foresight is None:
+            return self.evaluator.evaluate(self.number, theta, previous, alone)
+        with doing(f"iteration {self.number}"):
+            predicted = self.foresight.predicted(theta, previous)
+        if predicted is not None:
+            return predicted, None
+        found = self.evaluator.evaluate(self.number, theta, previous, alone)
+        self.foresight.compare(found[0], previous)
+        return found
 
     def note(
         self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
@@ -407,9 +426,12 @@ class Loop:
     first: int = 0
     title: str = "initial model"
     confirms: bool = True
+    foresight: Foresight | None = None
 
     def __post_init__(self) -> None:
-        self.trials = Trials(self.campaign, self.evaluator, self.watcher, self.region, self.first)
+        self.trials = Trials(
+            self.campaign, self.evaluator, self.watcher, self.region, self.first, self.foresight
+        )
 
     def run(self) -> End:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.
@@ -429,7 +451,8 @@ class Loop:
                 unmet = status == "converged" and not confirmed.agrees(self.campaign.tolerances)
                 state = replace(state, current=confirmed, matrix=None, skip=None)
                 if apart > CONFIRMED or unmet:
-                    self.evaluator.refuted(last, apart)
+                    assert self.foresight is not None
+                    self.foresight.refute(last, apart)
                     continue
             reason = self._reason(status, state.current)
             return End(status, reason, state.current, self.trials.newest)
@@ -526,3 +549,119 @@ def _distance(evaluation: Evaluation) -> str:
     mac = evaluation.pairing.judged_mac
     text += f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else ""
     return text + (f"; not met: {', '.join(evaluation.unmet)}" if evaluation.unmet else "")
+
+
+class Silent(Watcher):
+    """Watches a loop and reports nothing."""
+
+
+class Foresight:
+    """Predictions by the reduced models of an evaluator's cases: ends of steps, and evaluations.
+
+    A reduced model gives the modes around a point for all parameter values, so the loop runs on it
+    to its own end, with the campaign's step form, bounds and criteria, within the region in which
+    the step may end. Its end is one step of the real campaign. A step that is short compared with
+    one whose end was predicted well needs no solution of the matrices where the prediction meets
+    e1: the solver's own modes confirm it next.
+    """
+
+    def __init__(self, evaluator: Evaluator) -> None:
+        self.evaluator = evaluator
+        self.campaign = evaluator.campaign
+        self._end: Evaluation | None = None
+        #: The relative error of the last predicted frequencies, and the length of the step there.
+        self._miss: tuple[float, float] | None = None
+        self._predicts = True
+        #: The cases on the newest reduced models; none before the first step.
+        self.states: list[CaseState] = []
+
+    def refined(
+        self, current: Evaluation, step: Step, region: tuple[Floats, Floats]
+    ) -> Step | None:
+        """Return the step to where updating ends on reduced models around the current point.
+
+        step: the linear one, whose regularisation and condition it keeps; region: lower and upper
+        values. None where a case has no reduced model, or updating fails on it.
+        """
+        states = []
+        for state, part in zip(self.evaluator.used, current.parts, strict=True):
+            if not isinstance(state.finder, ByMatrices):
+                return None
+            try:
+                reduced = state.finder.around(part, state.analysis)
+            except (UnlikeMatrices, ModelError) as error:
+                state.finder = state.finder.instead(error)
+                return None
+            case = replace(state.case, held_out=None)
+            states.append(replace(state, case=case, finder=reduced))
+        inner = replace(
+            self.campaign,
+            cases=tuple(state.case for state in states),
+            begin=tuple(current.theta.tolist()),
+            update=self.campaign.update.model_copy(update={"max_iterations": ITERATIONS}),
+        )
+        self.states = states
+        evaluator = Evaluator(inner, states, self.evaluator.execution)
+        try:
+            end = Loop(inner, evaluator, Silent(), region, current).run()
+        except ModesError as error:
+            logger.debug("no reduced step: %s", error)
+            return None
+        self._end = end.last
+        change = end.last.theta - current.theta
+        return replace(step, change=change, predicted=end.last.residual.values)
+
+    def predicted(self, theta: Floats, previous: Evaluation) -> Evaluation | None:
+        """Return the prediction at a point, if e1 holds there and its error is small enough.
+
+        The error of a reduced model grows at least as the square of the step.
+        """
+        end = self._end_at(theta)
+        if end is None or self._miss is None or not self._predicts:
+            return None
+        tolerances, (error, length) = self.campaign.tolerances, self._miss
+        error *= (_length(theta, previous) / length) ** 2
+        if error > ACCURATE * min(tolerances.frequency, CONFIRMED) or not end.agrees(tolerances):
+            return None
+        parts = []
+        try:
+            for state, before in zip(self.evaluator.used, previous.parts, strict=True):
+                if not isinstance(state.finder, ByMatrices):
+                    return None
+                own = state.own(theta)
+                key, modal = state.finder.stored().foreseen(own, state.analysis)
+                parts.append(state.compared(own, key, modal, before, REDUCED))
+        except ModesError as failure:
+            logger.debug("no prediction: %s", failure)
+            return None
+        found = self.evaluator.whole(theta, parts)
+        return found if found.agrees(tolerances) else None
+
+    def compare(self, evaluation: Evaluation, previous: Evaluation) -> None:
+        """Keep the error of the prediction of an evaluated point."""
+        end = self._end_at(evaluation.theta)
+        if end is not None:
+            error = float(np.max(np.abs(end.errors - evaluation.errors)))
+            self._miss = error, _length(evaluation.theta, previous)
+
+    def refute(self, evaluation: Evaluation, apart: float) -> None:
+        """Predict no more, or replace the matrices: the solver's own frequencies at this point
+        differ by this, relative."""
+        predicted = any(part.solved_by == REDUCED for part in evaluation.parts)
+        if predicted and apart <= CONFIRMED:  # e1 is just not met
+            logger.info("the reduced model's frequencies differ by %.1e from the solver's", apart)
+            self._predicts = False
+        else:
+            self.evaluator.refute_matrices(apart)
+
+    def _end_at(self, theta: Floats) -> Evaluation | None:
+        """The end of the last step on reduced models, if it is this point."""
+        end = self._end
+        if end is None or not np.allclose(end.theta, theta, rtol=0.0, atol=1e-12):
+            return None
+        return end
+
+
+def _length(theta: Floats, previous: Evaluation) -> float:
+    """Return the distance between two points; never zero."""
+    return max(float(np.max(np.abs(theta - previous.theta))), float(np.finfo(np.float64).eps))

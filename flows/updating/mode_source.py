@@ -22,8 +22,10 @@ from typing import Protocol
 import numpy as np
 
 from modetune.adapters.solver import ModalAnalysis
+from modetune.core.algebra.factor_room import factor_room
 from modetune.core.algebra.pardiso import is_available
-from modetune.core.correlation.pairing import LostMode
+from modetune.core.correlation.matching import NotAmongComputed
+from modetune.core.correlation.pairing import LostMode, Pairing
 from modetune.core.errors import (
     CampaignError,
     LicenceDenied,
@@ -34,19 +36,20 @@ from modetune.core.errors import (
     SolverError,
     SolverMissing,
 )
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers, mode_name
 from modetune.core.storage.keys import Json
 from modetune.core.updating.job_results import ModalResult, ModesForecast
 from modetune.core.updating.responses.response import MatricesAt
 from modetune.core.updating.sensitivity import ModeDerivatives, stack_derivatives
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.matrix_plan import unsuitable
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.job_prices import job_prices, side_by_side
-from modetune.flows.updating.evaluation import CaseEvaluation, Point
+from modetune.flows.updating.evaluation import CaseEvaluation, Point, compare
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.sensitivities import (
     Exact,
@@ -57,7 +60,9 @@ from modetune.flows.updating.sensitivities import (
 
 logger = logging.getLogger(__name__)
 
-#: Who finds modes of a reduced model, in records.
+#: How often the computed range is widened in search of a lost mode.
+WIDENINGS = 1
+#: The source of modes of a reduced model, in records.
 REDUCED = "reduced_model"
 #: Failures that are not of the one job that met them.
 CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
@@ -472,3 +477,122 @@ def model_modes(
     analysis = campaign_analysis(campaign)
     job = Job(values, replace(analysis, n_modes=number or analysis.n_modes))
     return job_engine(campaign).solve(job).result(ModalResult)
+
+
+@dataclass(slots=True, eq=False)
+class CaseState:
+    """A case under evaluation.
+
+    campaign: the campaign of this case alone; columns: positions of its parameters among all;
+    engine: of its model; analysis: the request of its next modal runs.
+    """
+
+    case: Case
+    campaign: Campaign
+    columns: Integers
+    engine: JobEngine
+    finder: ModeFinder
+    analysis: ModalAnalysis
+
+    def own(self, theta: Floats) -> Floats:
+        """Return the case's own parameters."""
+        return theta[self.columns]
+
+    def compared(
+        self,
+        theta: Floats,
+        key: str,
+        modal: ModalResult,
+        before: CaseEvaluation | None,
+        solved_by: str,
+        drop: bool = False,
+    ) -> CaseEvaluation:
+        """Compare modes at the case's own parameters with its test, as `compare` does."""
+        matrices = self.finder.assembled(theta) if self.case.needs("matrices") else None
+        with factor_room(self.engine.room):
+            return compare(self.case, theta, key, modal, before, solved_by, drop, matrices)
+
+    def named(self, work: Work) -> Work:
+        """Return work under the case's name, for its engine."""
+        return Work(self.case.of(work.name), work.jobs, work.engine or self.engine)
+
+
+@dataclass(slots=True, eq=False)
+class ModeRequest:
+    """The modes of a case at its own parameters, requested until they give an evaluation.
+
+    point: number of the point; widened: how often the computed range was widened so far.
+    """
+
+    point: int
+    state: CaseState
+    theta: Floats
+    analysis: ModalAnalysis
+    widened: int = 0
+
+    def widen(self, error: LostMode, there: int) -> bool:
+        """Request more modes; false where more would not help.
+
+        there: number of modes found; a model of a few unknowns has no more than that.
+        """
+        few = there < self.analysis.n_modes
+        if self.widened == WIDENINGS or few or not error.above:
+            return False
+        self.widened += 1
+        n_modes = self.analysis.n_modes + max(4, self.analysis.n_modes // 2)
+        self.analysis = replace(self.analysis, n_modes=n_modes)
+        logger.info("%s; widening the range to %d modes", error, n_modes)
+        return True
+
+    def evaluated(
+        self, done: Sequence[Done], before: CaseEvaluation | None
+    ) -> CaseEvaluation | None:
+        """Return the case's evaluation from the outcomes of its work; None to request it again.
+
+        before: evaluation of the case that modes are tracked from.
+        """
+        state = self.state
+        try:
+            key, modal = state.finder.modes(self.theta, self.analysis, done)
+        except UNFIT as error:
+            state.finder = state.finder.instead(error)
+            return None
+        try:
+            part = self.compared(key, modal, before)
+        except LostMode as error:
+            if self.widen(error, modal.modes.n_modes):
+                return None
+            if isinstance(error, NotAmongComputed):
+                raise
+            if before is not None or not state.case.rules.drop:
+                raise _lost(error) from error
+            part = self.compared(key, modal, before, drop=True)
+        if before is None:
+            _warn_dropped(state.case, part.pairing)
+        return part
+
+    def compared(
+        self, key: str, modal: ModalResult, before: CaseEvaluation | None, drop: bool = False
+    ) -> CaseEvaluation:
+        """Compare modes with those of the test. Raises LostMode."""
+        state = self.state
+        return state.compared(self.theta, key, modal, before, state.finder.name, drop)
+
+
+def _lost(error: LostMode) -> LostMode:
+    """Return the error with the campaign keys that resolve it."""
+    return LostMode(
+        f"{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its partner "
+        "by hand (see `modetune check`)"
+    )
+
+
+def _warn_dropped(case: Case, pairing: Pairing) -> None:
+    """Warn of the modes that are left out."""
+    for row in np.setdiff1d(np.arange(case.test.modes.n_modes), pairing.measured).tolist():
+        logger.warning(
+            "%s at %.4g Hz has no partner among the computed modes and is left out "
+            "(test.unmatched: drop): nothing is compared with it",
+            mode_name(case.test.numbers[row], case.name),
+            case.test.modes.frequencies_hz[row],
+        )

@@ -26,11 +26,17 @@ from modetune.core.updating.reduced_model import unreduced
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
-from modetune.flows.updating.evaluator import CaseState, Evaluator
-from modetune.flows.updating.loop import Loop
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.loop import ITERATIONS, Foresight, Loop, Silent
 from modetune.flows.updating.matrices import MatrixSource, one_thread
-from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, REDUCED, BySolver, ModeFinder
-from modetune.flows.updating.reduced_model import ITERATIONS, ByMatrices, ByReduced, Unnoted
+from modetune.flows.updating.mode_source import (
+    CAMPAIGNS_OWN,
+    REDUCED,
+    BySolver,
+    CaseState,
+    ModeFinder,
+)
+from modetune.flows.updating.reduced_model import ByMatrices, ReducedModes
 from modetune.flows.updating.sensitivities import UnlikeMatrices
 
 logger = logging.getLogger(__name__)
@@ -221,9 +227,12 @@ class TriedStarts:
 class OtherStarts:
     """The search from other starts of a campaign, whose update the evaluator serves."""
 
-    def __init__(self, campaign: Campaign, evaluator: Evaluator) -> None:
+    def __init__(
+        self, campaign: Campaign, evaluator: Evaluator, foresight: Foresight | None
+    ) -> None:
         self.campaign = campaign
         self.evaluator = evaluator
+        self.foresight = foresight
         #: The cases on the newest reduced models, and where these led so far, by start.
         self._states: list[CaseState] = []
         self._known: dict[bytes, StartEnd] = {}
@@ -231,7 +240,7 @@ class OtherStarts:
     def seek(self, record: CampaignRecord) -> None:
         """What `tried` will want of reduced models that are there, before the solver has confirmed
         where the update ended."""
-        states = [] if self.evaluator.foresight is None else self.evaluator.foresight.states
+        states = [] if self.foresight is None else self.foresight.states
         if states and self._wanted(record):
             self._ends_on(states, record)
 
@@ -296,7 +305,7 @@ class OtherStarts:
         come from stored matrices the newest reduced models are at hand, once a step was taken. For
         starts that were asked for they are made where they are not.
         """
-        foresight = self.evaluator.foresight
+        foresight = self.foresight
         if foresight is None:
             return _reduced_around(self.evaluator, last)
         if foresight.states or not self.campaign.update.starts:
@@ -308,7 +317,7 @@ class OtherStarts:
         """Where updating ends from what reduced models around the answer found elsewhere."""
         assert found.updated is not None
         begin = found.updated
-        if self.evaluator.foresight is not None:
+        if self.foresight is not None:
             try:
                 there = _in_full(self.evaluator, begin, known)
                 states = _reduced_around(self.evaluator, there)
@@ -334,11 +343,12 @@ class OtherStarts:
     ) -> StartEnd:
         """Where updating ends from a set."""
         update = self.campaign.update
+        foresight = self.foresight if evaluator is self.evaluator else None
         if by:
             update = update.model_copy(update={"max_iterations": ITERATIONS})
         inner = replace(self.campaign, begin=tuple(begin.tolist()), update=update)
         try:
-            end = Loop(inner, evaluator, Unnoted(), confirms=False).run()
+            end = Loop(inner, evaluator, Silent(), confirms=False, foresight=foresight).run()
         except (SolverError, ModesError) as error:
             if isinstance(error, CAMPAIGNS_OWN):
                 raise
@@ -373,17 +383,17 @@ def _reduced_around(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
 def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
     """Modes of a model of matrices: of all unknowns where they are few, else reduced."""
     if isinstance(state.finder, ByMatrices):
-        return ByReduced(state.finder.stored().reduced(part.point, state.analysis), part)
+        return state.finder.around(part, state.analysis)
     if not isinstance(state.finder, BySolver):
         return state.finder
     source = MatrixSource(state.engine, state.campaign.parameters, state.campaign.sensitivity.step)
     given = source.matrices(part.theta, range(part.theta.size))
     if given.base.nodes.size > DENSE:
         finder = ByMatrices(state.campaign, state.engine, source, state.finder)
-        return ByReduced(finder.stored().reduced(part.point, state.analysis), part)
+        return finder.around(part, state.analysis)
     modes = part.modal.modes
     seen = state.case.solver.deck.observation(given.base, modes.nodes, modes.components)
-    return ByReduced(unreduced(given, _shift(part), seen.matrix), part)
+    return ReducedModes(unreduced(given, _shift(part), seen.matrix), part, part.key)
 
 
 def _shift(part: CaseEvaluation) -> float:

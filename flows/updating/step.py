@@ -8,6 +8,7 @@ models are there, the step is the one to where updating ends on them, within the
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -31,13 +32,14 @@ from modetune.core.updating.parameter_steps import (
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
-from modetune.flows.updating.evaluator import Evaluator
 
 #: Steps in which a factor of regularisation is looked for; then it stays, or steps would go round
 #: between the answers of two factors.
 SETTLED = 4
 #: Parameters held back that a sentence names.
 NAMED = 4
+#: A better step than this one, within lower and upper values; None where there is none.
+Refined = Callable[[Evaluation, Step, tuple[Floats, Floats]], Step | None]
 
 
 def used_weights(campaign: Campaign, found: Residual) -> Floats:
@@ -118,14 +120,13 @@ def way_to_least_misfit(
 class Stepping:
     """The steps of a loop, and which parameters were held back by the length of a step.
 
-    lower, upper: (n_parameters,), values that steps keep to.
+    refined: returns a better step than a linear one, to a point within lower and upper values, or
+    None; lower, upper: (n_parameters,), values that steps keep to.
     """
 
-    def __init__(
-        self, campaign: Campaign, evaluator: Evaluator, lower: Floats, upper: Floats
-    ) -> None:
+    def __init__(self, campaign: Campaign, refined: Refined, lower: Floats, upper: Floats) -> None:
         self.campaign = campaign
-        self.evaluator = evaluator
+        self.refined = refined
         self.lower, self.upper = lower, upper
         self.adapts = campaign.update.step == "trust_region"
         # By the bounds of the campaign: those of a region around a set are always near.
@@ -162,7 +163,7 @@ class Stepping:
         self._factors.append(step.regularisation)
         own = step.predicted[: found.values.size]
         step = replace(step, predicted=found.of_items(own))
-        return self.evaluator.refined(current, step, box) or step
+        return self.refined(current, step, box) or step
 
     @property
     def _regularisation(self) -> Factor:
@@ -184,7 +185,7 @@ class Stepping:
             change = np.zeros_like(change)  # a limit stands before it
             predicted = current.residual.values
         step = Step(change, predicted, 0.0, rank=0, condition=np.nan)
-        return self.evaluator.refined(current, step, (self.lower, self.upper)) or step
+        return self.refined(current, step, (self.lower, self.upper)) or step
 
     def halved(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
         """A step of half the length."""
@@ -201,7 +202,7 @@ class Stepping:
             region = region.shrunk(length)
             return self.step(current, matrix, region), region
         box = self._box(current, 0.5 * length)
-        refined = self.evaluator.refined(current, step, box)
+        refined = self.refined(current, step, box)
         if refined is not None:
             return refined, region
         return self.halved(current, matrix, step), region

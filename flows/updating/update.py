@@ -63,11 +63,10 @@ from modetune.flows.report.iteration_tables import iteration_row
 from modetune.flows.report.report_file import draw_report
 from modetune.flows.updating.diagnosis import checked
 from modetune.flows.updating.evaluation import Evaluation, Matrix
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.evaluators import evaluator_of, finder_of
+from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.forecast import Forecast, Forecaster, Progress, Unwatched
 from modetune.flows.updating.holdout import held_out
-from modetune.flows.updating.loop import End, Loop, Noted
+from modetune.flows.updating.loop import End, Foresight, Loop, Noted
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, UPDATING, campaign_analysis
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.record import (
@@ -76,7 +75,7 @@ from modetune.flows.updating.record import (
     shown_field,
     unfinished_record,
 )
-from modetune.flows.updating.reduced_model import ByMatrices
+from modetune.flows.updating.reduced_model import ByMatrices, finder_of
 from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starts import (
     OtherStarts,
@@ -274,6 +273,7 @@ class Updating:
     counted: RunCounts = field(default_factory=RunCounts)
 
     def __post_init__(self) -> None:
+        self.foresight = Foresight(self.evaluator) if self.evaluator.reducible else None
         self.iterations: list[IterationRecord] = []
         self.kept: list[Evaluation] = []
         self.started = self.lap = time.monotonic()
@@ -281,14 +281,14 @@ class Updating:
     def run(self) -> CampaignRecord:
         """Update until e1 holds, nothing more is gained, or the iterations are used up."""
         campaign, evaluator = self.campaign, self.evaluator
-        others = OtherStarts(campaign, evaluator)
+        others = OtherStarts(campaign, evaluator, self.foresight)
 
         def seek() -> None:
             if self.kept[-1].agrees(campaign.tolerances):
                 others.seek(self._record("converged", ""))
 
         evaluator.idle, idle = seek, evaluator.idle
-        end = Loop(campaign, evaluator, self, around=self.around).run()
+        end = Loop(campaign, evaluator, self, around=self.around, foresight=self.foresight).run()
         evaluator.idle, self.matrix = idle, end.matrix
         tried = others.tried(self._record(end.status, end.reason), end.last)
         if tried is not None and tried.chosen:
@@ -308,7 +308,9 @@ class Updating:
         """Go on from where another start led that fits better."""
         campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
         title, number = "another start fits better", self.iterations[-1].number + 1
-        end = Loop(campaign, self.evaluator, self, first=number, title=title).run()
+        end = Loop(
+            campaign, self.evaluator, self, first=number, title=title, foresight=self.foresight
+        ).run()
         self.matrix = end.matrix
         return replace(end, reason=f"{end.reason}; the best of {len(tried.ends)} starts")
 

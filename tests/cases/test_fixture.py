@@ -26,7 +26,7 @@ from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.record import CampaignRun

@@ -14,7 +14,7 @@ from modetune.core.errors import SolverMissing
 from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import sensitivities
 from modetune.flows.updating.sensitivities import Exact

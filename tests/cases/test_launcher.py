@@ -18,7 +18,7 @@ from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.localise.error_maps import OTHER_STIFFNESS
 from modetune.flows.studies.localise.localisation import localise
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.update import update_campaign
 
 CASES = ("launcher", "case_1", "case_2")

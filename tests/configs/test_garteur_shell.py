@@ -30,7 +30,7 @@ from modetune.core.errors import SolverMissing
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "garteur"
 #: mm2 of each property, from the published dimensions (Balmes and Wright 1997).

@@ -53,8 +53,7 @@ from modetune.flows.studies.check.parameters import (
 )
 from modetune.flows.studies.check.sensors import sensor_findings, suspected_sensors
 from modetune.flows.updating.evaluation import Point
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.poses import by_shapes, from_store, may_choose, modal_job
 

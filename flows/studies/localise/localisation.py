@@ -24,7 +24,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 
 

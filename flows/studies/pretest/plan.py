@@ -56,8 +56,7 @@ from modetune.flows.studies.pretest.placement import (
     placed_sensors,
 )
 from modetune.flows.studies.pretest.request import PretestSettings
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import campaign_analysis
 

@@ -25,8 +25,8 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
-from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluator import MOST_KNOWN, Evaluator
+from modetune.flows.updating.evaluation import MOST_KNOWN, Evaluation
+from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
@@ -95,8 +95,7 @@ class PointSolver:
     def reduced(self) -> ReducedFeatures | None:
         """The residual by a reduced model between the bounds, modes tracked from the sets solved so
         far; None where there is none."""
-        ranges = self.evaluator.ranges
-        within = ranges.within(self.campaign, self.known[0], in_full=False) if ranges else None
+        within = self.evaluator.within(self.campaign, self.known[0], in_full=False)
         if within is None:
             return None
         named = response_names(self.known[0])

@@ -23,7 +23,7 @@ from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.refinement import Refinement, check, learn
 from modetune.flows.studies.sample.request import SamplingRequest
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import MANY, Demand
 from modetune.flows.updating.poses import settled

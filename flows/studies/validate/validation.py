@@ -32,8 +32,7 @@ from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.forecast import Progress
 from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, STEPS, UPDATING, Demand
@@ -221,7 +220,7 @@ def _validated(
 def _on_range(campaign: Campaign, whole: Evaluator) -> Evaluation | None:
     """A set around which there are reduced models that hold between the bounds; None where there
     are none."""
-    if whole.ranges is None:
+    if not whole.reducible:
         return None
     try:
         known, _ = whole.evaluate("start", campaign.start, None, alone=True)
@@ -230,7 +229,7 @@ def _on_range(campaign: Campaign, whole: Evaluator) -> Evaluation | None:
             raise
         logger.info("each update goes by itself: %s", error)
         return None
-    return known if whole.ranges.within(campaign, known) else None
+    return known if whole.within(campaign, known) else None
 
 
 def _fold(
@@ -248,7 +247,7 @@ def _fold(
     reduced models are made, None where there are none.
     """
     engine = replace(engine, tasks=engine.tasks.of_part(fold.name if fold.number else ""))
-    evaluator = whole.ranges.within(campaign, known) if whole.ranges and known else None
+    evaluator = whole.within(campaign, known) if known else None
     if evaluator is None:
         evaluator = evaluator_of(campaign, engine, like=whole.campaign)
     updating = Updating(

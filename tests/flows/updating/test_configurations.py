@@ -26,7 +26,7 @@ from modetune.flows.studies.validate.validation import leave_one_out, leave_out
 from modetune.flows.updating.baseline import Band, check_deck
 from modetune.flows.updating.display import pairing_lines
 from modetune.flows.updating.dry_run import dry_run
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.record import summary
 from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command as modetune

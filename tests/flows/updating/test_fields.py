@@ -31,7 +31,7 @@ from modetune.flows.report.field_tables import SHOWN, brief_record, fields_json
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
 from modetune.flows.studies.paraview import SeriesSource, write_field_file
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import plate
 from tests.adapters.test_solver_contract import run

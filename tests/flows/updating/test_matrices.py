@@ -18,7 +18,7 @@ from modetune.core.modes import Floats, mode_set
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.updating.evaluation import Point
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import by_solver, campaign_analysis, modes_source
 from modetune.flows.updating.sensitivities import SemiAnalytic, UnlikeMatrices

@@ -13,7 +13,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.parameters import Quantity
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import campaign_analysis, model_modes
 from tests.adapters.ccx_decks import bar
 from tests.adapters.solved import needs_ccx

@@ -25,7 +25,7 @@ from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.validate.validation import Validation, leave_one_out
 from modetune.flows.updating import reduced_model
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.mode_source import REDUCED
 from modetune.flows.updating.starts import OtherStarts
@@ -142,12 +142,12 @@ def test_few_points_are_runs_of_the_solver(tmp_path: Path) -> None:
 def test_a_reduced_model_that_the_solver_does_not_confirm_gives_way_to_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made: Callable[..., object] = reduced_model.ByRange._reduced
+    made: Callable[..., object] = reduced_model.ReducedModes._accurate
 
-    def too_stiff(self: reduced_model.ByRange, theta: Floats, n_modes: int) -> object:
+    def too_stiff(self: reduced_model.ReducedModes, theta: Floats, n_modes: int) -> object:
         return made(self, 1.001 * theta, n_modes)
 
-    monkeypatch.setattr(reduced_model.ByRange, "_reduced", too_stiff)
+    monkeypatch.setattr(reduced_model.ReducedModes, "_accurate", too_stiff)
     found = screened(BAR, tmp_path / "bar")
     assert "the solver's own frequencies differ by 5." in caplog.text
     assert found.points_by == ""

@@ -21,7 +21,7 @@ from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating import solutions
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx

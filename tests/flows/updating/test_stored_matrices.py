@@ -30,8 +30,8 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solved
 from modetune.flows.updating import solutions
+from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.mode_source import Demand, by_solver, modes_forecast, modes_source
-from modetune.flows.updating.reduced_model import ReducedForesight
 from modetune.flows.updating.solutions import MatrixModes
 from modetune.flows.updating.update import is_unchanged, read_earlier, update_campaign
 from tests.adapters.ccx_decks import bar, plate, wall
@@ -277,18 +277,18 @@ def test_factors_have_left_memory_when_the_solver_has_the_last_word(
 ) -> None:
     held: list[weakref.ref[MatrixModes]] = []
     left: list[bool] = []
-    begin, confirm = MatrixModes.__init__, ReducedForesight._confirmed
+    begin, confirm = MatrixModes.__init__, Evaluator._confirmed
 
     def begun(self: MatrixModes, *given: Any) -> None:
         begin(self, *given)
         held.append(weakref.ref(self))
 
-    def confirmed(self: ReducedForesight, *given: Any) -> Any:
+    def confirmed(self: Evaluator, *given: Any) -> Any:
         left.append(all(each() is None for each in held))
         return confirm(self, *given)
 
     monkeypatch.setattr(MatrixModes, "__init__", begun)
-    monkeypatch.setattr(ReducedForesight, "_confirmed", confirmed)
+    monkeypatch.setattr(Evaluator, "_confirmed", confirmed)
     assert update(bar_file, tmp_path, watcher, STORED).status == "converged"
     assert (len(held), left) == (1, [True])
 

@@ -13,9 +13,9 @@ import pytest
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.sample.points import PointSolver
-from modetune.flows.updating import evaluator
+from modetune.flows.updating import evaluation
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 from tests.flows.studies.sample.test_by_reduced import (
     DEVIATION,
@@ -65,7 +65,7 @@ def test_sets_that_were_tracked_from_mistaken_ones_are_tracked_again(tmp_path: P
 def test_of_many_sets_those_that_fit_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(evaluator, "MOST_KNOWN", 5)
+    monkeypatch.setattr(evaluation, "MOST_KNOWN", 5)
     monkeypatch.setattr("modetune.flows.studies.sample.points.MOST_KNOWN", 5)
     some = np.array(TRUTH) + np.linspace(-0.6, 0.6, 13)[:, None] * np.array([1.0, 0.2])
     with row_solver(tmp_path) as solver:
