@@ -55,7 +55,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class ModeCheck:
-    """A mode's errors beside the baseline's; reasons: why it left the band, none within it."""
+    """A mode's errors and the baseline's; reasons: why it left the band, none within it."""
 
     mode: int
     configuration: str | None

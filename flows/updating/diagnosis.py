@@ -1,4 +1,4 @@
-"""How far a campaign's answer can be trusted: worked out at its end, and told to machines."""
+"""The diagnosis of a campaign's answer: how far to trust it, at its end and in `--json`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def campaign_trust(
     """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
 
     standard_errors, remaining: (n_parameters,), at the answer, and its way to the least misfit;
-    agrees: whether e1 is met; answers: of the campaign's fields; held: responses that stand on a
+    agrees: whether e1 is met; answers: of the campaign's fields; held: responses at a
     limit.
     """
     if matrix is None:
@@ -160,7 +160,7 @@ def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve 
 def field_answers(
     campaign: Campaign, iterations: Sequence[IterationRecord], matrix: Matrix | None
 ) -> tuple[FieldAnswer, ...]:
-    """What the test says of each field where updating stands; none without a sensitivity."""
+    """Return the answer for each field at the present point; none without a sensitivity."""
     last, own = [item for item in iterations if item.accepted][-1], campaign.parameters
     found = last.residual
     if matrix is None:

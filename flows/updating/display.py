@@ -80,14 +80,14 @@ class ConsoleProgress:
             yield self
 
     def keep(self, folder: Path) -> None:
-        """Tell how far the jobs are in a file of a run folder too."""
+        """Keep the progress of the jobs in a file of a run folder too."""
         self._jobs.keep(folder)
 
     def working(self, text: str) -> None:
         self._jobs.working(text)
 
     def forecast(self, forecast: Forecast) -> None:
-        """A line as soon as all costs are known, then what is left, beside what is running."""
+        """Print a line when all costs are known; then show the rest next to running jobs."""
         self._jobs.ahead(f"to the end at most {cost_text(forecast.most)}" if forecast.known else "")
         if forecast.known and not self._told:
             self._told = True
@@ -102,7 +102,7 @@ class ConsoleProgress:
 
 
 def pairing_lines(record: CampaignRecord) -> list[str]:
-    """What pairing did that the order of frequencies does not tell, a line a mode."""
+    """Return a line for each mode that is not paired by the order of frequencies."""
     pairing = record.best.pairing
     return [
         f"test mode {mode_label(record, measured)} is elastic mode {computed + 1} of the model: "

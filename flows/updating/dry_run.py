@@ -1,8 +1,8 @@
-"""A dry run: what a campaign would run, without running it.
+"""A dry run: the jobs that a campaign would run, without running them.
 
-The updating loop is deterministic, so it is replayed for as long as the store answers every job.
-Where it lacks one the replay ends, and the jobs of that iteration are told: which the store has,
-which would be run, and for each of these the nearest stored result and what differs.
+The updating loop is deterministic, so it is replayed while the store has every job. At the first
+missing one the replay ends and reports the jobs of that iteration: those in the store, those that
+would run, and for each of these the nearest stored result with the differences.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from modetune.core.errors import NotComputed, NotStored
-from modetune.core.storage.record import CampaignRecord, IterationRecord
+from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
@@ -21,8 +21,7 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
-from modetune.flows.jobs.lookup import Explanation
-from modetune.flows.jobs.nearest import nearest
+from modetune.flows.jobs.lookup import Explanation, nearest
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import Updating, read_earlier, start_of
@@ -106,7 +105,7 @@ def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> Plann
 
 
 def dry_run(campaign: Campaign, folder: Path) -> DryRun:
-    """Replay a campaign on its store and tell the first jobs that would be run.
+    """Replay a campaign on its store and return the first jobs that would run.
 
     folder: its run folder, where a run before may have left its record. Raises SolverMissing
     (keys hold the solver's version), ModelError, ModesError, StoreError.
@@ -120,7 +119,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
         ended = None
         try:
             ended = updating.run()
-        except NotComputed:  # what comes next is computed here; no solver run can be told yet
+        except NotComputed:  # the next results are computed here; no solver run is known yet
             break
         except NotStored:
             if not replay.planned:  # a damaged entry was set aside: once more, without it

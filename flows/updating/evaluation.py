@@ -13,24 +13,19 @@ import numpy as np
 import scipy
 
 from modetune.core.correlation.clusters import rotation_to_test
-from modetune.core.correlation.held_out import (
-    HeldOut,
-    judge_held_out,
-    pair_held_out,
-    track_held_out,
-)
-from modetune.core.correlation.matching import (
+from modetune.core.correlation.holdout import HeldOut, judge_held_out, pair_held_out, track_held_out
+from modetune.core.correlation.pairing import (
+    Pairing,
     PairRules,
     UncertainPairs,
     first_pairing,
     next_pairing,
     uncertain_pairs,
 )
-from modetune.core.correlation.pairing import Pairing
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
-from modetune.core.updating.estimation import Step
-from modetune.core.updating.limits import breach
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.parameter_steps import Step, breach
 from modetune.core.updating.residual import residual, responses_agree
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -42,7 +37,7 @@ from modetune.core.updating.responses.response import (
     stacked_rows,
     with_values,
 )
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.case import Case, node_base, side_by_side
 
 #: Most points that modes are tracked from: the nearest of that many is near, and they take memory.
@@ -125,7 +120,7 @@ class Evaluation:
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """What does not agree beside frequencies and shapes: kinds of response, limits."""
+        """Kinds of response and limits, besides frequencies and shapes, that do not agree."""
         kinds = [
             item.kind.replace("_", " ")
             for part in self.parts
@@ -304,7 +299,7 @@ def whole_evaluation(
 
 
 def _in_whole(case: Case, part: CaseEvaluation) -> list[Residual]:
-    """The blocks of a case as they stand among those of others."""
+    """Return the blocks of a case with its weight and name."""
     return [
         replace(
             own,
@@ -353,9 +348,9 @@ def _all_pairs(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> Pairin
 
 
 def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances) -> bool:
-    """Whether the linear model promises that e1 will hold after a step.
+    """Return whether the linear model predicts that e1 holds after a step.
 
-    Then the modal job goes alone: sensitivities computed beside it would most likely be in vain.
+    Then the modal job runs alone, as sensitivities would most likely be in vain.
     """
     rows = part_rows(evaluation.parts)
     return all(

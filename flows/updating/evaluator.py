@@ -28,13 +28,14 @@ from modetune.core.algebra.factor_room import factor_room
 from modetune.core.correlation.pairing import LostMode, close_modes
 from modetune.core.errors import ModelError, ModesError, ModetuneError, SolverError
 from modetune.core.modes import Floats
-from modetune.core.storage.record import RunCounts
-from modetune.core.updating.estimation import Step
-from modetune.core.updating.reduced_range import RangeUse, range_sets
+from modetune.core.storage.campaign_record import RunCounts
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.parameter_steps import Step
+from modetune.core.updating.reduced_model import RangeUse, range_sets
 from modetune.core.updating.residual import residual_sensitivity
 from modetune.core.updating.responses.frequencies import Frequencies
 from modetune.core.updating.responses.response import ModelState, StateDerivatives
-from modetune.core.updating.results import ModalResult, ModeDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.campaign_engine import engine_of

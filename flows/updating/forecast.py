@@ -1,9 +1,9 @@
-"""What a campaign will cost: core-minutes, licence-minutes and time, from what jobs cost before.
+"""The forecast of a campaign's cost: core-minutes, licence-minutes and time, from earlier jobs.
 
-A job costs what the stored results of the same model and kind of analysis cost (their median);
-where there are none, those of earlier states of the deck, found by the model's name. How many
-iterations a campaign takes nobody knows, so besides the iteration that comes next the most is
-told: all iterations used up, and in each a new sensitivity.
+The cost of a job is the median of stored results of the same model and kind of analysis, or, where
+there are none, of earlier states of the deck, found by the model's name. The number of iterations
+is not known, so the forecast has the next iteration and an upper limit: all iterations, each with a
+new sensitivity.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from modetune.flows.jobs.limits import CORES
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluator import evaluator_of
 
-#: So many of the newest results are looked at after an iteration.
+#: Number of the newest results that are read after an iteration.
 NEWEST_LATER = 20
-#: A change of the parameters by which jobs that come once are told from those of each iteration.
+#: A change of the parameters that separates jobs of each iteration from those that run once.
 ELSEWHERE = 1.001
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What some jobs cost; unknown: how many of them have no price and are left out of the sums."""
+    """The cost of some jobs; unknown: number of jobs without a price, not in the sums."""
 
     jobs: int
     unknown: int
@@ -52,11 +52,11 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What lies before a campaign.
+    """The forecast of a campaign.
 
-    coming: of the first iteration, nothing once that is done; further: of each iteration after
-    it at most; iterations: how many of these there may be; last: of the solver's own run that
-    looks at modes found from stored matrices, nothing where each iteration runs the solver.
+    coming: of the first iteration, zero once it is done; further: at most of each later iteration;
+    iterations: their maximum number; last: of the solver's run that confirms modes from stored
+    matrices, zero where each iteration runs the solver.
     """
 
     coming: Cost
@@ -89,7 +89,7 @@ class Progress(Protocol):
         return
 
     def working(self, text: str) -> None:
-        """What is being computed now."""
+        """This is being computed now."""
         return
 
     def iteration(self, record: IterationRecord) -> None:
@@ -106,7 +106,7 @@ class Unwatched(Progress):
 
 
 class Forecaster(Progress):
-    """Watches a campaign in somebody's place and tells what is still to come."""
+    """Passes the progress of a campaign on, with a forecast after each iteration."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ def _jobs(works: Sequence[Work]) -> list[Job]:
 def job_cost(
     engine: JobEngine, prices: Mapping[str, Price], parallel: int
 ) -> Callable[[Sequence[Job]], Cost]:
-    """What prices jobs that go side by side, so many at a time."""
+    """Return a function that prices jobs, this many in parallel."""
     licences = sum(limit.taken for limit in engine.limits if limit.name != CORES)
 
     def cost(jobs: Sequence[Job]) -> Cost:

@@ -1,12 +1,23 @@
 """The updating loop: evaluate, compare with the test, step, until e1 holds or nothing is gained.
 
-Each iteration tries a set : its modal job and, unless e2 skips them, its sensitivity
-jobs go to the execution side by side. A better one is accepted, and e2 decides whether it does with
-the matrix that is there. Where sets cost little the loop goes on from where e1 holds to the least
-misfit. Where modes were found otherwise the solver's own confirm the end.
+Each iteration tries a point: its modal job and, unless e2 skips them, its sensitivity jobs run in
+parallel. A better point is accepted; e2 decides whether the existing matrix serves for it. A worse
+point is not accepted: a step from an older matrix is taken back and the matrix computed again, one
+from a new matrix is shortened. So skipping never costs convergence. A failed trial (solver failure,
+lost mode) is treated in the same way.
 
-The loop is deterministic and all results are in the store by content, so a campaign that was
-killed is resumed by starting it again: what was finished is answered by the store.
+Where evaluations are cheap the loop continues from where e1 holds to the minimum misfit, without
+leaving e1, as far as the test determines the parameters. The solver's own modes confirm the end if
+they came from another source.
+
+Where a sensitivity takes solver runs, an accepted point may use the previous matrix: as it is
+(`keep`, thesis, 4.2), or updated by Broyden's formula with the change over the last step, its rows
+of frequencies replaced by those of the strain energies, which are exact and take no job. A Broyden
+update takes a round of runs a step, a new matrix its jobs in parallel and the step;
+docs/how-it-works.md compares them.
+
+The loop is deterministic and the store keeps all results by content, so a campaign that was killed
+is resumed by starting it again.
 """
 
 from __future__ import annotations
@@ -35,30 +46,30 @@ from modetune.flows.updating.step import Stepping
 
 logger = logging.getLogger(__name__)
 
-#: How far from e1, at least, Broyden's rate is asked to bring errors down: a rate that hardly is
-#: one is none, also where the frequencies hold already and the shapes do not.
+#: The smallest factor by which Broyden updates have to reduce errors: a lower rate counts as none,
+#: also where the frequencies are within e1 already and the shapes are not.
 LEAST_WAY = 2.0
-#: A step is shortened at most so often before its start counts as stationary.
+#: Times that a step is shortened before its start counts as stationary.
 SHORTENINGS = 5
 #: Largest parameter change that counts as none.
 NO_STEP = 1e-8
-#: Parameters that the task of a step names, those that change most.
+#: Parameters in the name of a step's task: those with the largest changes.
 SHOWN = 8
-#: Largest parameter change that the least misfit is not worth, where e1 holds.
+#: Where e1 holds, steps to the minimum misfit end below this parameter change.
 POLISHED = 1e-4
-#: ... where an old matrix led there, and new ones are to end at the same values.
+#: ... or below this one, where an old matrix led there and new ones shall end at the same values.
 SAME_END = 1e-3
 #: Relative decrease of the objective below which nothing more is gained.
 STATIONARY = 1e-4
-#: An old matrix whose step gains less than this share of what it promised is computed anew.
+#: An old matrix whose step gains less than this share of its prediction is computed again.
 KEPT_PROMISE = 0.25
 #: Most steps on the reduced models; they take next to no time.
 ITERATIONS = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Between:
-    """What a campaign does without new sensitivities; lower, upper: (n_parameters,), its region."""
+class Reuse:
+    """The use of an older sensitivity; lower, upper: (n_parameters,), the region of the loop."""
 
     campaign: Campaign
     evaluator: Evaluator
@@ -67,17 +78,17 @@ class Between:
 
     @property
     def waits(self) -> bool:
-        """Whether a set is looked at before its sensitivity is begun: Broyden's may do for it."""
+        """Whether a point is evaluated before its sensitivity, since a Broyden update may serve."""
         e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
         if e2 == 0.0 or between == "keep" or self.evaluator.cheap:
             return False
-        return self.n_jobs > self.campaign.parallel  # else a sensitivity takes no time of its own
+        return self.n_jobs > self.campaign.parallel  # else a sensitivity takes no extra time
 
     @property
     def n_jobs(self) -> int:
-        """Jobs of a set with its sensitivity; those that all sets share are in the store by then.
+        """The number of jobs of a point with its sensitivity, without those that all points share.
 
-        Sets far from each other are compared for that; the solver is asked nothing.
+        It follows from a comparison of two distant points, without a run.
         """
         low, high = (
             [job for work in self.evaluator.planned(theta) for job in work.jobs]
@@ -86,33 +97,35 @@ class Between:
         return sum(job not in low for job in high)
 
     def pays(self, matrix: Matrix, step: Step, evaluation: Evaluation, left: float) -> bool:
-        """Whether Broyden's correction after a step brings e1 about as soon as a new matrix.
+        """Whether a Broyden update after a step reaches e1 as soon as a new matrix.
 
-        matrix: of the step; evaluation: of the set it led to; left: share of the objective that it
-        left. The new matrix takes its rounds of jobs side by side and one more for the step, which
-        is taken to arrive; a corrected one takes one a step, at the rate of the last. After a new
-        matrix this is not known yet, and tried.
+        matrix: of the step; evaluation: at its end; left: the remaining share of the objective. A
+        new matrix takes the rounds of its parallel jobs and one for the step, which is assumed to
+        reach e1; an updated one takes one round a step, at the rate of the last step. After a new
+        matrix the rate is not known, so it is tried.
         """
         if step.rank < step.change.size and step.regularisation == 0.0:
-            return False  # errors of the matrix would go where the test does not hold them
+            return (
+                False  # errors of the matrix would go where the test does not determine parameters
+            )
         if matrix.age == 0:
             return True
         rounds = 1 + math.ceil((self.n_jobs - 1) / self.campaign.parallel)
         worst = float(np.max(np.abs(evaluation.used_errors), initial=0.0))
         far = worst / self.campaign.tolerances.frequency
-        # The objective is a square: its share left is that of the errors, squared.
+        # The objective is a square: its remaining share is that of the errors, squared.
         return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 
     def tries_again(self, slope: float) -> bool:
-        """Whether a step by an old matrix that made things worse is gone on from: Broyden's, where
-        the residual changed by no more than e2 a parameter."""
+        """Whether updating continues from the worse end of a step by an old matrix: with Broyden
+        updates, where the residual changed by at most e2 a parameter."""
         campaign = self.campaign
         return campaign.sensitivity.between == "broyden" and 0.0 < slope <= campaign.update.e2
 
-    def goes_on(self, matrix: Matrix | None, evaluation: Evaluation) -> bool:
-        """Whether the end of an old matrix is followed to the least misfit, as new ones would end.
+    def continues(self, matrix: Matrix | None, evaluation: Evaluation) -> bool:
+        """Whether an old matrix that led to e1 continues to the minimum misfit, as new ones would.
 
-        e1 then asks for less than what the deviations of frequencies leave: there is no noise.
+        The tolerance of e1 is then smaller than the deviations of frequencies: there is no noise.
         """
         if matrix is None or matrix.age == 0 or self.campaign.fields:
             return False
@@ -123,7 +136,7 @@ class Between:
         return noise.size > 0 and asked <= BELIEVED * math.sqrt(float(noise.min()))
 
     def older(self, matrix: Matrix, begun: Evaluation, evaluation: Evaluation) -> Matrix:
-        """The matrix of a step from where it began for use once more, as it is or corrected."""
+        """Return the matrix of a step for further use, as it is or updated; begun: its start."""
         if self.campaign.sensitivity.between == "keep":
             return replace(matrix, age=matrix.age + 1)
         change = begun.residual.values - evaluation.residual.values
@@ -141,46 +154,41 @@ class Between:
 
 
 class Watcher(Protocol):
-    """Who is told what a loop does, as far as it has a method for it."""
+    """The observer of a loop; its own methods do nothing."""
 
     def working(self, text: str) -> None:
-        """What is being computed now."""
+        """This is being computed now."""
         return
 
-    def noted(self, trial: Noted) -> None:
-        """A set was evaluated, and this was decided of it."""
+    def noted(
+        self,
+        number: int,
+        evaluation: Evaluation,
+        trial: Trial | None,
+        newest: Matrix | None,
+        decision: str,
+        accepted: bool,
+        skipped: bool,
+    ) -> None:
+        """A point was evaluated, and this was decided.
+
+        trial: that led to it, None at the start; newest: the newest matrix; skipped: whether e2
+        skipped the point's own matrix.
+        """
         return
 
     def confirmed(self, evaluation: Evaluation) -> None:
-        """The solver's own modes at the last accepted set."""
+        """The solver's own modes at the last accepted point."""
         return
-
-
-@dataclass(frozen=True, slots=True)
-class Noted:
-    """An evaluation point: how it was come by, and what was decided.
-
-    by: the step to it, None at the start; slope: e2's, NaN at the start; skipped: whether e2 made
-    this set do without a matrix of its own; newest: the newest matrix.
-    """
-
-    number: int
-    evaluation: Evaluation
-    by: TrialStep | None
-    slope: float
-    accepted: bool
-    decision: str
-    skipped: bool
-    newest: Matrix | None
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Where a loop stands.
+    """The state of a loop.
 
-    current: the last accepted set; matrix: for the step from there, None where it has yet to be
-    computed; skip: the slope by which e2 lets the next iteration do without a matrix of its own,
-    None where it does not; region: where the next step may go.
+    current: the last accepted point; matrix: for the step from there, None until it is computed;
+    skip: the slope by which e2 skips the next iteration's matrix, None where it does not; region:
+    of the next step.
     """
 
     current: Evaluation
@@ -191,10 +199,10 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class TrialStep:
-    """A step to a set to be tried, by a matrix, taken in a region.
+    """A step to a point, by a matrix, within a region.
 
-    begun: where its last part began: the current set but after a step by an old matrix that made
-    things worse; the matrix is that of this part.
+    begun: the start of its last part, to which the matrix belongs: the current point, or the worse
+    end of a step by an old matrix.
     """
 
     step: Step
@@ -205,7 +213,7 @@ class TrialStep:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a step led to: the set, its fresh matrix if there is one, and e2's slope."""
+    """The end of a step: the point, its new matrix if there is one, and e2's slope."""
 
     by: TrialStep
     evaluation: Evaluation
@@ -217,8 +225,8 @@ class Trial:
 class Trials:
     """The trials of a loop.
 
-    region: lower and upper values that it keeps to within the parameters' bounds, each
-    (n_parameters,), where it may not go everywhere. first: number of the first set.
+    region: lower and upper values within the parameters' bounds, each (n_parameters,), that limit
+    it further. first: number of the first point.
     """
 
     campaign: Campaign
@@ -233,7 +241,7 @@ class Trials:
         own, self.number = self.campaign.parameters, self.first
         low, high = self.region or (own.lower, own.upper)
         box = np.maximum(own.lower, low), np.minimum(own.upper, high)
-        self.between = Between(self.campaign, self.evaluator, *box)
+        self.reuse = Reuse(self.campaign, self.evaluator, *box)
         refined = self.foresight.refined if self.foresight else lambda *_: None
         self.stepping = Stepping(self.campaign, refined, *box)
 
@@ -242,23 +250,23 @@ class Trials:
         return self.number - self.first == self.campaign.update.max_iterations
 
     def start(self, title: str, around: Evaluation | None) -> State:
-        """The first set; around: an evaluation point that its modes are tracked from."""
+        """Evaluate the first point; around: an evaluation that its modes are tracked from."""
         self.watcher.working(title)
         theta, alone = self.campaign.start, self.campaign.update.max_iterations == 0
         current, matrix = self.evaluator.evaluate(self.first, theta, around, alone)
         self.newest = matrix
-        self.watcher.noted(Noted(self.first, current, None, np.nan, True, title, False, matrix))
+        self.watcher.noted(self.first, current, None, matrix, title, True, False)
         return State(current, matrix, None, self.stepping.first)
 
     def matrix(self, state: State) -> Matrix:
-        """The matrix of the step from a state, computed where it has to be."""
+        """Return the matrix of the step from a state, computed if there is none."""
         if state.matrix is None:
             self.watcher.working(f"iteration {self.number}: sensitivities")
         self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
         return self.newest
 
     def step(self, compute: Callable[[], Step]) -> Step:
-        """A step to the next set, computed as a task of its own."""
+        """Compute a step to the next point as its own task."""
 
         def computed() -> tuple[Step, str]:
             step, names = compute(), self.campaign.parameters.names
@@ -268,12 +276,12 @@ class Trials:
         return self.evaluator.step(f"iteration {self.number + 1}", computed)
 
     def better(self, state: State, matrix: Matrix) -> Trial | None:
-        """The first set that is better than the current one, or None.
+        """Return the first point that is better than the current one, or None.
 
-        With a fresh matrix the step is made shorter until it helps. An old one gets one chance, and
-        Broyden's a second: along a narrow valley a long step is worse by its curvature alone, and
-        corrected by what it showed the next one from there ends at the bottom, at the price of a
-        round where a new matrix takes all of its own.
+        With a new matrix the step is shortened until it helps. An old one gets one chance, and a
+        Broyden update a second: along a narrow valley a long step is worse by its curvature alone,
+        and the next step from its end, by the updated matrix, ends at the bottom, for one round of
+        runs instead of those of a new matrix.
         """
         current, stepping = state.current, self.stepping
         step = self.step(lambda: stepping.step(current, matrix, state.region))
@@ -298,10 +306,10 @@ class Trials:
                 better = stepping.better(current, trial.evaluation, by.step)
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
-                again = old and chance == 0 and self.between.tries_again(trial.slope)
+                again = old and chance == 0 and self.reuse.tries_again(trial.slope)
                 self.note(trial, f"worse: {'corrected and gone on from' if again else ending}")
                 if again:
-                    by = self._gone_on(current, trial)
+                    by = self._continued(current, trial)
                     continue
             if old:
                 return None
@@ -309,25 +317,25 @@ class Trials:
             by = replace(by, step=step, region=region)
         return None
 
-    def _gone_on(self, current: Evaluation, trial: Trial) -> TrialStep:
-        """From a set that an old matrix made worse, by the matrix corrected by what it showed."""
+    def _continued(self, current: Evaluation, trial: Trial) -> TrialStep:
+        """Return the step from the worse end of an old matrix's step, by the updated matrix."""
         by, begun = trial.by, trial.evaluation
-        matrix = self.between.older(by.matrix, by.begun, begun)
+        matrix = self.reuse.older(by.matrix, by.begun, begun)
         step = self.step(lambda: self.stepping.step(begun, matrix, by.region))
         step = replace(step, change=begun.theta + step.change - current.theta)
         return TrialStep(step, matrix, by.region, begun)
 
     def tried(self, state: State, by: TrialStep, alone: bool = False) -> Trial:
-        """The set that a step leads to; alone: without sensitivities beside its modal job.
+        """Evaluate the end of a step; alone: its modal job without sensitivities.
 
         Raises SolverError, ModesError, StoreError.
         """
         self.number += 1
         current = state.current
-        # Sensitivities beside the modal job are in vain where the set is not kept or is the last.
+        # Sensitivities are in vain where the point is not accepted or is the last.
         alone = (
             alone
-            or self.between.waits
+            or self.reuse.waits
             or state.skip is not None
             or self.used_up()
             or expects_agreement(by.step, current, self.campaign.tolerances)
@@ -354,17 +362,16 @@ class Trials:
     def note(
         self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
     ) -> None:
-        """Tell what was decided of a trial."""
-        there, newest = trial.evaluation, self.newest
+        """Report the decision about a trial."""
         self.watcher.noted(
-            Noted(self.number, there, trial.by, trial.slope, accepted, decision, skipped, newest)
+            self.number, trial.evaluation, trial, self.newest, decision, accepted, skipped
         )
 
 
 def polished(trials: Trials, state: State) -> Trial | None:
-    """The next set on the way from a state that meets e1, None where that is not worth more."""
+    """Return the next point from a state that meets e1, None where the gain is negligible."""
     current, stepping = state.current, trials.stepping
-    old = trials.between.goes_on(state.matrix, current)
+    old = trials.reuse.continues(state.matrix, current)
     if not old and not trials.evaluator.polishes(current):
         return None
     matrix = trials.matrix(state)
@@ -383,7 +390,7 @@ def polished(trials: Trials, state: State) -> Trial | None:
 
 
 def _better(trials: Trials, state: State, by: TrialStep) -> Trial | None:
-    """The set of a step, None where it is not better, or e1 does not hold there."""
+    """Evaluate the end of a step; None where it is not better, or e1 does not hold there."""
     try:
         trial = trials.tried(state, by)
     except (SolverError, ModesError) as error:
@@ -400,7 +407,7 @@ def _better(trials: Trials, state: State, by: TrialStep) -> Trial | None:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How a loop ended: converged, stationary or max_iterations, why, and at which set."""
+    """The end of a loop: converged, stationary or max_iterations, the reason, and the point."""
 
     status: str
     reason: str
@@ -410,12 +417,12 @@ class End:
 
 @dataclass
 class Loop:
-    """Updating from a start to its end; `run` carries it there.
+    """Updating from a start to its end, by `run`.
 
-    region: lower and upper values that it keeps to within the parameters' bounds, each
-    (n_parameters,), where it may not go everywhere. around: an evaluation point that the
-    modes of the start are tracked from. first, title: number and name of the first set. confirms:
-    whether the end is looked at by the solver's own modes where it was found otherwise.
+    region: lower and upper values within the parameters' bounds, each (n_parameters,), that limit
+    it further. around: an evaluation that the modes of the start are tracked from. first, title:
+    number and name of the first point. confirms: whether the solver's own modes confirm the end if
+    they came from another source. foresight: predictions of reduced models.
     """
 
     campaign: Campaign
@@ -436,8 +443,8 @@ class Loop:
     def run(self) -> End:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.
 
-        Where modes came from the solver's matrices its own modes at the end are looked at; if these
-        do not agree with them, updating goes on with less belief in what was found otherwise.
+        If the solver's own modes at the end do not confirm those of another source, updating
+        continues without the source that was wrong.
         """
         state = self.trials.start(self.title, self.around)
         while True:
@@ -458,7 +465,7 @@ class Loop:
             return End(status, reason, state.current, self.trials.newest)
 
     def _until(self, state: State) -> tuple[str, State]:
-        """How the iterations from a state end, and where."""
+        """Iterate from a state; return how that ended, and the state there."""
         trials = self.trials
         while True:
             if state.current.agrees(self.campaign.tolerances):
@@ -482,7 +489,7 @@ class Loop:
             return "stationary", state
 
     def _polished(self, state: State) -> State:
-        """The least misfit beside a state that meets e1, without leaving e1."""
+        """Continue from a state that meets e1 to the minimum misfit, without leaving e1."""
         gained = True
         while gained and (trial := polished(self.trials, state)) is not None:
             state, gained = self._accept(state, trial)
@@ -501,10 +508,10 @@ class Loop:
         )
 
     def _accept(self, state: State, trial: Trial) -> tuple[State, bool]:
-        """The state after a better set, and whether more than nothing was gained by it.
+        """Return the state after a better point, and whether the gain is more than negligible.
 
-        e2 spares this set its sensitivity where Broyden's formula can stand in, and the next set
-        where the old matrix is kept as it is (thesis, 4.2), as long as steps keep their promise.
+        e2 skips this point's sensitivity where a Broyden update can replace it, and the next one's
+        where the old matrix is kept as it is (thesis, 4.2), while steps gain what they predict.
         """
         trials, by, there = self.trials, trial.by, trial.evaluation
         current, step, matrix, stepping = state.current, by.step, by.matrix, trials.stepping
@@ -513,12 +520,12 @@ class Loop:
         promised = before - stepping.objective(current, step.predicted, step, 1.0)
         kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
-        # Then no sensitivity would follow, and there is none to spare.
+        # Then no sensitivity would follow, so there is none to skip.
         ends = trials.used_up() or there.agrees(self.campaign.tolerances)
         spared, skip = None, None
-        if trials.between.waits:
+        if trials.reuse.waits:
             left = (before - gain) / before
-            pays = kept and trials.between.pays(matrix, step, there, left)
+            pays = kept and trials.reuse.pays(matrix, step, there, left)
             spared = trial.slope if small and pays else None
         elif self.campaign.sensitivity.between == "broyden":
             pass  # its matrix could only take the place of one that takes no time
@@ -526,7 +533,7 @@ class Loop:
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
         if spared is not None:
-            following = trials.between.older(matrix, by.begun, there)
+            following = trials.reuse.older(matrix, by.begun, there)
             if not ends:
                 self.evaluator.skip(trials.number, spared)
         trials.newest = following or matrix
@@ -539,7 +546,7 @@ class Loop:
 
 
 def _distance(evaluation: Evaluation) -> str:
-    """How far a set is from the test, in words."""
+    """Return a sentence about the difference from the test."""
     errors = evaluation.used_errors
     if errors.size == 0:
         text = "no frequency is compared"

@@ -1,11 +1,11 @@
 """The stiffness and mass matrices of a campaign's model as functions of its parameters.
 
-Where the matrices are sums of powers of each parameter, the jobs of `matrix_plan` go to the solver
-once in the life of a model; what follows from them, `core/updating/parameter_matrices`, takes their
-place in the store: it is as large as two of them, whatever the number of parameters. Where they are
-not (Poisson's ratio, two parameters that scale the same thing), the same is made for one set of
-values at a time, from jobs around it, and only its derivatives there are the model's. A model that
-was given as matrices has its own parts, and needs no job.
+Where the matrices are sums of powers of each parameter, the solver runs the jobs of `matrix_plan`
+once for a model; the result, `core/updating/parameter_matrices`, replaces them in the store: it is
+as large as two of them for any number of parameters. Where they are not (Poisson's ratio, two
+parameters that scale the same quantity), the result belongs to one point, from jobs around it, and
+only its derivatives there are the model's. A model given as matrices has its own parts and needs no
+job.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ NOTHING = sparse.csr_array((0, 0))
 WITHOUT_MATRICES = (
     "`sensitivity.method: finite_difference` with `model.eigensolver: solver` needs no matrices"
 )
-#: Elements of a model from which memory is worth the system's time: pages are made anew for each
-#: array, which took 4 to 8 s of the 47 that a campaign on 270,000 equations takes.
+#: Elements from which freed memory is worth the system's time: new pages for each array took 4 to
+#: 8 s of the 47 of a campaign on 270,000 equations.
 LARGE = 100_000
-#: Arrays of so many bytes have pages of their own; the C library's parameters of that name, and
-#: what it may keep of smaller ones (mallopt(3)).
+#: Arrays from this many bytes on get separate pages, and bytes of smaller ones that the C library
+#: may keep, with its parameters of these names (mallopt(3)).
 OWN_PAGES, M_MMAP_THRESHOLD, KEPT, M_TRIM_THRESHOLD = 1 << 22, -3, 1 << 24, -1
 
 
 @dataclass(frozen=True)
 class MatrixSource:
-    """Where a model's matrices come from; step: relative, of differences where there are no powers.
+    """The source of a model's matrices; step: relative, of differences where there are no powers.
 
     with_losses: whether damping needs the stiffness of groups that have loss factors. beside:
-    values of parameters that are not its own.
+    values of other parameters.
 
-    Each model has a source of its own. The matrices at a set are those of `columns`, positions of
-    parameters; of a model that is known `everywhere` they are the same for all sets and columns.
+    Each model has its source. The matrices at a point are those of `columns`, positions of
+    parameters; of a model that is known `everywhere` they are the same for all points and columns.
     """
 
     engine: JobEngine
@@ -321,8 +321,8 @@ def _small_matrices() -> ThreadpoolController:
 
 
 def return_freed_memory() -> None:
-    """Give arrays from 4 MB on pages of their own, which freed memory of glibc otherwise has from
-    32 MB on: of 136,539 equations it kept 4.3 kB each, a third of what was in memory.
+    """Make glibc return freed arrays from 4 MB on, not from 32 MB on: of 136,539 equations it kept
+    4.3 kB each, a third of the memory in use.
 
     Nothing where the C library is another one.
     """

@@ -24,8 +24,7 @@ import numpy as np
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.algebra.factor_room import factor_room
 from modetune.core.algebra.pardiso import is_available
-from modetune.core.correlation.matching import NotAmongComputed
-from modetune.core.correlation.pairing import LostMode, Pairing
+from modetune.core.correlation.pairing import LostMode, NotAmongComputed, Pairing
 from modetune.core.errors import (
     CampaignError,
     LicenceDenied,
@@ -64,15 +63,15 @@ logger = logging.getLogger(__name__)
 WIDENINGS = 1
 #: The source of modes of a reduced model, in records.
 REDUCED = "reduced_model"
-#: Failures that are not of the one job that met them.
+#: Failures that concern the whole campaign and not one job.
 CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
-#: What tells that a finder cannot be believed for a model.
+#: Errors that show that a source is wrong for a model.
 UNFIT = (UnbalancedEnergies, UnlikeMatrices, ModelError)
-#: Raised by hand when the same campaign is to be looked at anew.
+#: Raised by hand when campaigns shall make the choice again.
 VERSION = 1
-#: So many sets are worth a reduced model that holds for all of them.
+#: From this many points on a reduced model within the bounds is worth its cost.
 MANY = 16
-#: Sets that updating is expected to take, one after another.
+#: Expected number of points of updating, one after another.
 STEPS = 4
 #: What the first solution of a model by matrices takes besides (libraries, threads), seconds, and
 #: a set by a reduced model for all of them.
@@ -104,52 +103,52 @@ class Columns:
 
 
 class ModeFinder(Protocol):
-    """Finds the modes of one case and their derivatives; with no jobs unless it says which."""
+    """A source of the modes of one case and their derivatives; by default it needs no jobs."""
 
     @property
     def name(self) -> str:
-        """Who finds the modes, as records tell it."""
+        """The source, in records."""
         ...
 
     @property
     def cheap(self) -> bool:
-        """Whether sensitivities cost no job, so that there is nothing for e2 to save."""
+        """Whether sensitivities take no job, so that e2 has none to save."""
         ...
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        """What has to be carried out before the modes at a set are found."""
+        """Return the work that the modes at a point need."""
         return []
 
     def modes(
         self, theta: Floats, analysis: ModalAnalysis, done: Sequence[Done]
     ) -> tuple[str, ModalResult]:
-        """The key and the modes of a set, from what became of `works`.
+        """Return the key and the modes of a point, from the outcomes of `works`.
 
         Raises SolverError, ModesError, ModelError, StoreError.
         """
         ...
 
     def sensitivity_works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
-        """What has to be carried out before the derivatives at a set are found."""
+        """Return the work that the derivatives at a point need."""
         return []
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
-        """The derivatives at a point, from what became of `sensitivity_works`.
+        """Return the derivatives at a point, from the outcomes of `sensitivity_works`.
 
         Raises as `modes` does.
         """
         ...
 
     def assembled(self, theta: Floats) -> MatricesAt:
-        """K and M at a set whose `works` are done. Raises ModelError."""
+        """Return K and M at a point whose `works` are done. Raises ModelError."""
         ...
 
     def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
-        """Whether the modes of an evaluation point are enough for derivatives."""
+        """Return whether the modes of an evaluated case are enough for derivatives."""
         return True
 
     def instead(self, error: ModetuneError) -> ModeFinder:
-        """What takes the place of a finder that met this error. Raises it where nothing does."""
+        """Return the replacement of this source after an error. Raises it where there is none."""
         raise error
 
 
@@ -157,7 +156,7 @@ class ModeFinder(Protocol):
 class BySolver:
     """Modes by the solver's own runs.
 
-    campaign: of the one case; source: of matrices for derivatives; methods: of the columns.
+    campaign: of this case alone; source: of matrices for derivatives; methods: of the columns.
     """
 
     campaign: Campaign
@@ -179,7 +178,7 @@ class BySolver:
         return [modal, *self.source.works(theta, range(theta.size))]
 
     def job(self, theta: Floats, analysis: ModalAnalysis) -> Job:
-        """The modal job at a set."""
+        """Return the modal job at a point."""
         return Job(self.campaign.parameters.values(theta), analysis)
 
     def modes(
@@ -202,7 +201,7 @@ class BySolver:
         return works
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
-        """A column that is unavailable is left out with a warning; raises where none is left."""
+        """Return the available columns, with a warning for others; raises where none is left."""
         reasons = self._failed_columns(done)
         columns = [column for column in range(len(self.methods)) if column not in reasons]
         found = self._derivatives(point, analysis, columns, reasons)
@@ -243,7 +242,7 @@ class BySolver:
         return replace(self, methods=methods)
 
     def _failed_columns(self, done: Sequence[Done]) -> dict[int, ModetuneError]:
-        """Why columns have no results, by position. Raises what is not a column's own failure."""
+        """Return the errors of columns, by position. Raises errors that concern all."""
         shared = done[: len(done) - len(self.methods)]
         found: dict[int, ModetuneError] = {}
         for column, method in enumerate(self.methods):
@@ -265,7 +264,7 @@ class BySolver:
         columns: Sequence[int],
         reasons: dict[int, ModetuneError],
     ) -> ModeDerivatives:
-        """Derivatives of these columns; those whose perturbed modes are lost go to reasons."""
+        """Return derivatives of these columns; reasons: gets lost ones."""
         methods = sensitivities(self.campaign, self.source, analysis)
         parts = {}
         together = [c for c in columns if self.methods[c] != "finite_difference"]
@@ -283,13 +282,13 @@ class BySolver:
 
 
 def assembled(source: MatrixSource, theta: Floats) -> MatricesAt:
-    """A model's matrices at a set, from jobs that are done. Raises ModelError."""
+    """Return a model's matrices at a point, from jobs that are done. Raises ModelError."""
     model = source.matrices(theta, range(theta.size))
     return MatricesAt(model, source.written(theta), source.group_stiffness(theta))
 
 
 def by_solver(campaign: Campaign, engine: JobEngine) -> BySolver:
-    """The finder of the solver's own modes for a campaign's only case."""
+    """Return the source of the solver's own modes for a campaign's only case."""
     parameters, step = campaign.parameters, campaign.sensitivity.step
     source = MatrixSource(engine, parameters, step, campaign.case.needs("losses"))
     plans = sensitivities(campaign, source, campaign_analysis(campaign))
@@ -297,7 +296,7 @@ def by_solver(campaign: Campaign, engine: JobEngine) -> BySolver:
 
 
 def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
-    """The modal analysis of a campaign's only case: modes, nodes, and the parameters' energies."""
+    """Return the modal analysis of a campaign's only case: modes, nodes, energies."""
     case, solver = campaign.case, campaign.case.solver
     groups = tuple(
         (item.name, sets)
@@ -310,7 +309,7 @@ def campaign_analysis(campaign: Campaign) -> ModalAnalysis:
 def sensitivities(
     campaign: Campaign, source: MatrixSource, analysis: ModalAnalysis
 ) -> Sensitivities:
-    """The methods of a campaign, bound to its jobs at the nodes that derivatives need."""
+    """Return the sensitivity methods of a campaign at the nodes that derivatives need."""
     return Sensitivities(
         source=source,
         settings=campaign.sensitivity,
@@ -320,7 +319,7 @@ def sensitivities(
 
 
 def unless_failed(done: Done) -> tuple[JobOutcome, ...]:
-    """The outcomes of a piece of work. Raises what ended it."""
+    """Return the outcomes of a piece of work. Raises its error."""
     if isinstance(done, ModetuneError):
         raise done
     return done
@@ -328,9 +327,9 @@ def unless_failed(done: Done) -> tuple[JobOutcome, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What is to be evaluated: sets one after another with their sensitivities, and others.
+    """Points to be evaluated: steps with their sensitivities, one after another, and others.
 
-    matrices: whether the model's matrices are wanted whoever finds the modes.
+    matrices: whether the model's matrices are needed in any case.
     """
 
     steps: int = STEPS
@@ -344,14 +343,13 @@ UPDATING = Demand()
 def modes_source(
     campaign: Campaign, own: BySolver, demand: Demand = UPDATING
 ) -> MatrixSource | None:
-    """Where the matrices come from whose modes stand for the solver's; None where none do.
+    """Return the matrices whose modes replace the solver's; None where the solver finds them.
 
-    own: the finder of the solver's modes.
+    own: the source of the solver's modes.
     """
     solver, asked = campaign.case.solver, campaign.case.eigensolver
     auto = asked == "auto"
-    # Without a test nothing tells where the search for modes begins; without parameters there is
-    # one set.
+    # Without a test the search for modes has no shift; without parameters there is one point.
     alone = not campaign.case.measured.numbers or (auto and not len(campaign.parameters))
     if asked == "solver" or alone:
         return None
@@ -372,11 +370,9 @@ def modes_source(
 
 
 def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.nan) -> bool:
-    """Whether matrices at the final values confirm what was found by those of all values; else a
-    modal run of the solver does.
+    """Return whether matrices at the final values confirm the end; else a modal run does.
 
-    own: as of `modes_source`; run_s: what that run is expected to take, as its forecast unless
-    told.
+    own: as in `modes_source`; run_s: expected time of that run, by default from its forecast.
     """
     if campaign.update.confirm != "auto":
         return campaign.update.confirm == "matrices"
@@ -386,7 +382,7 @@ def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.na
 
 
 def modes_forecast(campaign: Campaign, own: BySolver, demand: Demand) -> ModesForecast:
-    """What both ways are expected to take, as it was when first asked for."""
+    """Return the expected times of both sources, as first forecast."""
     every = range(len(campaign.parameters))
     extra = _further_runs(campaign, own)
     asked: Json = {
@@ -410,7 +406,7 @@ def modes_forecast(campaign: Campaign, own: BySolver, demand: Demand) -> ModesFo
 
 
 def _further_runs(campaign: Campaign, own: BySolver) -> int:
-    """Runs that a set's sensitivity takes beside its modal run."""
+    """Return the number of runs of a point's sensitivity in addition to its modal run."""
     analysis = campaign_analysis(campaign)
     works = own.sensitivity_works(campaign.start, analysis)
     modal = own.job(campaign.start, analysis)
@@ -447,7 +443,7 @@ def _forecast(campaign: Campaign, own: BySolver, demand: Demand, extra: int) -> 
 
 
 def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
-    """NAME=VALUE texts over the campaign's initial values. Raises CampaignError."""
+    """Return the campaign's initial values with NAME=VALUE texts applied. Raises CampaignError."""
     values = campaign.parameters.values(campaign.parameters.initial)
     known = {item.name: item for item in campaign.parameters.parameters}
     for setting in settings:
@@ -470,7 +466,7 @@ def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
 def model_modes(
     campaign: Campaign, values: Mapping[str, float], number: int | None = None
 ) -> ModalResult:
-    """The modes of the model, from the store or the solver; number: how many, rigid ones counted.
+    """Return modes of the model, from the store or the solver; number: with rigid ones.
 
     Raises SolverError, StoreError.
     """

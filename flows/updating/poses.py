@@ -1,10 +1,10 @@
-"""Which of several poses of a test the measured shapes speak for, where places cannot tell.
+"""The pose of a test that the measured shapes select among several with the same places.
 
-Each pose reads the same computed modes at nodes of its own, and pairs them with the measured ones
-as updating does; the mean MAC of the pairs is the pose's, of close modes that of their space:
-repeated modes stand anywhere within theirs, in the test as in the model, and a single MAC would
-choose a pose by that chance. A structure that is symmetric itself has the same spaces at all of its
-poses, which shapes cannot tell apart either.
+Each pose reads the same computed modes at its nodes and pairs them with the measured ones as
+updating does. The MAC of a pose is the mean over its pairs, for close modes that of their subspace:
+repeated modes have any direction within it, in the test and in the model, so a single MAC would
+select a pose by chance. A symmetric structure has the same subspaces at all of its poses, so shapes
+do not distinguish them either.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ LEAD, LEFT = 0.05, 0.5
 
 
 def settled(campaign: Campaign) -> Campaign:
-    """The campaign with each test in the pose that is certain.
+    """Return the campaign with each test in a certain pose.
 
-    Poses that places cannot tell apart cost a modal run, whose shapes may. Raises CampaignError for
-    an alignment that is not certain all the same; SolverError.
+    Poses with the same places take a modal run, whose shapes may select one. Raises CampaignError
+    for an alignment that is not certain; SolverError.
     """
     cases, problems = [], []
     for case in campaign.cases:
@@ -58,12 +58,12 @@ def settled(campaign: Campaign) -> Campaign:
 
 
 def may_choose(case: Case) -> bool:
-    """Whether a test has several poses, of which measured shapes may choose one."""
+    """Return whether measured shapes may select one of several poses of a test."""
     return bool(case.mapping.others) and not case.mapping.doubts and case.test.has_shapes
 
 
 def from_store(campaign: Campaign) -> tuple[Case, str] | None:
-    """What `by_shapes` tells of a campaign of one model whose modes the store has; None without."""
+    """Return `by_shapes` of a campaign of one model, if the store has its modes; else None."""
     if not may_choose(campaign.case):
         return None
     engine = replace(job_engine(campaign), may_run=False)
@@ -74,7 +74,7 @@ def from_store(campaign: Campaign) -> tuple[Case, str] | None:
 
 
 def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
-    """The case at the pose its shapes speak for, and what they say of each.
+    """Return the case at the pose that its shapes select, and a sentence about each.
 
     result: with the nodes of all poses. The case stays where shapes speak for none.
     """
@@ -96,7 +96,7 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
 
 
 def modal_job(campaign: Campaign) -> Job:
-    """The job whose modes have the nodes of all poses of a campaign's only test."""
+    """Return the job whose modes have the nodes of all poses of a campaign's only test."""
     return Job(campaign.parameters.values(campaign.start), campaign_analysis(campaign))
 
 

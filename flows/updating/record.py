@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-#: Packages whose arithmetic a campaign's numbers depend on, beside the solver's.
+#: Packages whose arithmetic a campaign's numbers depend on, in addition to the solver.
 PACKAGES = ("numpy", "scipy", "h5py")
 #: Seconds that a record may wait to be written.
 LATE_S = 1.0
@@ -77,7 +77,7 @@ def campaign_record(
     runs: RunCounts,
     wall_s: float,
 ) -> CampaignRecord:
-    """The record of a campaign as it stands; standard errors are by its newest matrix."""
+    """Return the present record of a campaign; standard errors are by its newest matrix."""
     accepted, only = [item for item in iterations if item.accepted], campaign.only
     own = campaign.parameters
     errors, correlation, remaining, held = _scatter(campaign, accepted[-1], matrix)
@@ -114,7 +114,7 @@ def campaign_record(
         configurations=campaign.configurations,
         splits=campaign.splits,
         versions=_versions(),
-        # A large deck takes a moment to digest, so only the record that stays tells it.
+        # A large deck takes a moment to digest, so only the final record has its digest.
         deck_digest="" if status == "running" else _deck_digest(campaign),
         trust=None
         if status == "running"
@@ -132,7 +132,7 @@ def _versions() -> tuple[str, ...]:
 
 
 def _deck_digest(campaign: Campaign) -> str:
-    """SHA-256 and name of each deck's file, as `sha256sum` tells them; includes are not in it."""
+    """Return SHA-256 and name of each deck's file, as `sha256sum` does, without includes."""
     files = [file for each in campaign.cases if (file := each.solver.deck.summary.file) is not None]
     try:
         told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
@@ -144,11 +144,11 @@ def _deck_digest(campaign: Campaign) -> str:
 def _scatter(
     campaign: Campaign, last: IterationRecord, matrix: Matrix | None
 ) -> tuple[Floats, Floats, Floats, tuple[str, ...]]:
-    """Standard errors (n,) and correlation (n, n) of the parameters as they stand, their way to the
-    least misfit (n,), and what a limit holds there.
+    """Return standard errors (n,) and correlation (n, n) of the present parameters, their
+    distance from the minimum misfit (n,), and the responses at a limit there.
 
-    Measurement variances leave the least misfit with a covariance C; the parameters, which stand d
-    before it, are off the truth by C + d d^T. What bounds and limits hold does not scatter.
+    Measurement variances give the minimum a covariance C; parameters at a distance d before it
+    differ from the truth by C + d d^T. Parameters at bounds and limits do not scatter.
     """
     n, found, factor = len(campaign.parameters), last.residual, last.regularisation
     if matrix is None:
@@ -202,12 +202,12 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
 
 
 def shown_surface(case: Case) -> Surface | None:
-    """The model's surface, None where it has no places (matrices alone)."""
+    """Return the model's surface, None where it has no coordinates (only matrices)."""
     return case.surface if case.surface.nodes.size else None
 
 
 def sensor_places(case: Case) -> SensorPlaces | None:
-    """Sensors on the model in global axes, None where the model has no places."""
+    """Return sensors on the model in global axes, None where it has no coordinates."""
     mesh, mapping = case.solver.deck.mesh(), case.mapping
     if mesh.nodes.size == 0 or mapping.sensors.n_sensors == 0:
         return None
@@ -220,7 +220,7 @@ def sensor_places(case: Case) -> SensorPlaces | None:
 
 
 def shown_field(campaign: Campaign, evaluation: Evaluation) -> ModeSet:
-    """The paired modes' translations at the nodes of the surface, in global axes."""
+    """Return the paired modes' translations at the surface's nodes, in global axes."""
     case, part = campaign.only, evaluation.parts[0]
     if case is None or case.surface.nodes.size == 0:
         return mode_set([])
@@ -239,7 +239,7 @@ def shown_field(campaign: Campaign, evaluation: Evaluation) -> ModeSet:
 
 @contextmanager
 def unfinished_record(path: Path) -> Iterator[Callable[[CampaignRecord], None]]:
-    """Gives what keeps a record in a file; the newest is there when this ends, however it does.
+    """Yield a function that writes a record to a file; the newest is in it at the end.
 
     Raises StorageUnavailable, of a record that waited with the next one.
     """

@@ -27,10 +27,9 @@ from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError, ModesError, ModetuneError, NoResult
 from modetune.core.modes import Floats
-from modetune.core.updating.reduced import ReducedModel
-from modetune.core.updating.reduced_range import ReducedRange
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.reduced_model import ReducedModel, ReducedRange
 from modetune.core.updating.responses.response import MatricesAt
-from modetune.core.updating.results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work

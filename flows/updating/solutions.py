@@ -60,12 +60,12 @@ MODES_VERSION = 6
 #: Unobservable nodes that a message names.
 NAMED = 5
 T = TypeVar("T")
-#: Unknowns from which full solutions that others begin with are in the store meanwhile: those of
-#: smaller models are found again in a few times what it takes to keep them.
+#: From this many unknowns on the store has full solutions that searches begin with: those of
+#: smaller models take only a few times as long to solve again as to store.
 KEPT_FROM = 50_000
 #: Share of the memory that the matrices of all values, or a basis, may take.
 IN_MEMORY = 0.1
-#: What a campaign that goes on makes first, for people who watch.
+#: The first task of a resumed campaign, on displays.
 AGAIN = "what the search begins with, once more"
 #: Raised by hand when the same matrices are reduced to other numbers.
 REDUCED_VERSION = 6
@@ -134,7 +134,7 @@ def named_freedoms(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalSet:
-    """So many modes at values (n_parameters,) as decks hold them; start: what they begin with."""
+    """A number of modes at values (n_parameters,) as written in decks; start: of the search."""
 
     key: str
     values: Floats
@@ -253,7 +253,7 @@ class Solutions:
         self.model = model
         self.engine = engine
         self.shift = shift
-        # The solver's own modes at the end tell whether any was missed: no need to count them.
+        # The solver's own modes at the end show whether any was missed, so they are not counted.
         self._solver = ModeSolver(count=False)
         self._newest: tuple[ModalSet, SolutionAt] | None = None
         self._first: tuple[ModalSet, SolutionAt] | None = None

@@ -142,7 +142,7 @@ def end_of(start: Floats, record: CampaignRecord) -> StartEnd:
 
 def drawn_starts(campaign: Campaign, n: int) -> Floats:
     """The campaign's own start and others, (n, n_parameters): a Latin hypercube within the bounds,
-    so that each has a stratum of its own in every parameter."""
+    with one stratum for each in every parameter."""
     parameters, seed = campaign.parameters, campaign.update.seed
     draws = latin_hypercube(n - 1, len(parameters), np.random.default_rng(seed))
     others = parameters.lower + draws * (parameters.upper - parameters.lower)
@@ -402,7 +402,7 @@ def _shift(part: CaseEvaluation) -> float:
 
 
 def _worth_a_look(found: StartEnds, every: bool = False) -> list[int]:
-    """Places beside the update's own that seem to fit as well, or better, or every one."""
+    """Return places other than the update's that seem to fit as well or better, or all."""
     own = found.ends[0]
     return sorted(
         {

@@ -1,8 +1,8 @@
-"""Steps of a campaign: from an evaluation and its sensitivity to the next set, and what it gained.
+"""Steps of a campaign: from an evaluation and its sensitivity to the next point, and their gain.
 
-The default step lives in a trust region that grows where steps keep their promise; `step_limit` is
-its first radius. The other forms are taken as they come, no longer than `step_limit`. Where reduced
-models are there, the step is the one to where updating ends on them, within the same region.
+The default step has a trust region that grows where steps gain what they predict; `step_limit` is
+its first radius. The other forms are limited to a length of `step_limit`. Where there are reduced
+models, the step goes to where updating ends on them, within the same region.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class Stepping:
         return self._factors[-1] if settled else settings.regularisation
 
     def to_least_misfit(self, current: Evaluation, matrix: Matrix) -> Step:
-        """The step to the least misfit as far as the test tells, from a set that is near it."""
+        """Return the step to the minimum misfit, as far as the test determines it, from nearby."""
         if self.campaign.update.step == "pulled_to_initial":
             return self.step(current, matrix, TrustRegion(np.inf))
         way, _, _ = way_to_least_misfit(
@@ -182,7 +182,7 @@ class Stepping:
         change = np.clip(way, self.lower - current.theta, self.upper - current.theta)
         predicted = current.residual.values - matrix.values @ change
         if breach(predicted, current.residual.limits).any():
-            change = np.zeros_like(change)  # a limit stands before it
+            change = np.zeros_like(change)  # a limit lies before it
             predicted = current.residual.values
         step = Step(change, predicted, 0.0, rank=0, condition=np.nan)
         return self.refined(current, step, (self.lower, self.upper)) or step
@@ -213,7 +213,7 @@ class Stepping:
         """The region for the step after an accepted one; kept: share of its promise."""
         self._count(current, step, region)
         if not self.adapts or (matrix.age > 0 and kept < KEPT):
-            return region  # what an old matrix promised in vain tells nothing of the model
+            return region  # a wrong prediction of an old matrix has no information on the model
         return region.after(self.length(current, step), kept)
 
     def length(self, current: Evaluation, step: Step) -> float:

@@ -66,7 +66,7 @@ from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.forecast import Forecast, Forecaster, Progress, Unwatched
 from modetune.flows.updating.holdout import held_out
-from modetune.flows.updating.loop import End, Foresight, Loop, Noted
+from modetune.flows.updating.loop import End, Foresight, Loop, Trial
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, UPDATING, campaign_analysis
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.record import (
@@ -92,7 +92,7 @@ from modetune.flows.updating.starts import (
 logger = logging.getLogger(__name__)
 
 LOG = "campaign.log"
-#: Bytes after which the log starts anew.
+#: Bytes after which a new log is begun; the previous one is kept once.
 LONGEST = 8 << 20
 
 
@@ -109,7 +109,7 @@ def campaign_log(campaign: Campaign, folder: Path) -> Iterator[None]:
     ours = logging.getLogger("modetune")
     file = _LogFile(folder / LOG, maxBytes=LONGEST, backupCount=1, encoding="utf-8", delay=True)
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
-    terminal = logging.StreamHandler()  # what Python itself does where nobody listens
+    terminal = logging.StreamHandler()  # as Python does without handlers
     terminal.setLevel(logging.WARNING)
     handlers: list[logging.Handler] = [file] if ours.hasHandlers() else [file, terminal]
     level = ours.level
@@ -148,7 +148,7 @@ def log_iterations(record: CampaignRecord, logged: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class EarlierRun:
-    """What the record of a finished run tells of its inputs and its end.
+    """Inputs and end of a finished run, from its record.
 
     test: numbers, frequencies, shapes, nodes and components as they were measured. started,
     updated: parameters by name, updated ones as values of the deck's quantities. record: all of it.
@@ -164,7 +164,7 @@ class EarlierRun:
 
 
 def read_earlier(folder: Path) -> EarlierRun | None:
-    """The run before in this run folder, or nothing. A record that cannot be read is told of."""
+    """Return the previous run in this folder, or None; an unreadable record gives a warning."""
     path = folder / "campaign.h5"
     if not path.exists():
         return None
@@ -188,9 +188,9 @@ def read_earlier(folder: Path) -> EarlierRun | None:
 
 
 def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> CampaignRecord:
-    """The record with runs and times of the run before, where the store answered all of its jobs.
+    """Return the record with runs and times of the previous run, where the store had all jobs.
 
-    What a model cost is told of it for good, not what it cost to look it up again.
+    A record has the cost of the model, not that of reading it from the store again.
     """
     if earlier is None or record.runs.modal or record.runs.sensitivity:
         return record
@@ -214,7 +214,7 @@ def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> 
     now = _test_arrays(campaign.test)
     if not all(np.array_equal(one, then) for one, then in zip(now, earlier.test, strict=True)):
         return False
-    # The key of the first modes stands for all that the deck and the solver are.
+    # The key of the first modes depends on everything in the deck and the solver.
     analysis = campaign_analysis(campaign)
     if engine.key(Job(earlier.started, analysis)) == earlier.modal_key:
         return True
@@ -305,7 +305,7 @@ class Updating:
         return record
 
     def _from(self, tried: TriedStarts) -> End:
-        """Go on from where another start led that fits better."""
+        """Continue from the better end of another start."""
         campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
         title, number = "another start fits better", self.iterations[-1].number + 1
         end = Loop(
@@ -317,15 +317,23 @@ class Updating:
     def working(self, text: str) -> None:
         self.progress.working(text)
 
-    def noted(self, trial: Noted) -> None:
-        """Keep an evaluation point in the record."""
-        evaluation, by = trial.evaluation, trial.by
-        step, matrix = (by.step, by.matrix) if by else (None, None)
+    def noted(
+        self,
+        number: int,
+        evaluation: Evaluation,
+        trial: Trial | None,
+        newest: Matrix | None,
+        decision: str,
+        accepted: bool,
+        skipped: bool,
+    ) -> None:
+        """Add an evaluated point to the record."""
+        step, matrix = (trial.by.step, trial.by.matrix) if trial else (None, None)
         now, parameters = time.monotonic(), self.campaign.parameters
         runs, wall_s = self.evaluator.runs.since(self.counted), now - self.lap
         self.counted, self.lap = self.evaluator.runs, now
         record = IterationRecord(
-            number=trial.number,
+            number=number,
             parameters=evaluation.theta,
             step=step.change if step else np.zeros(len(parameters)),
             computed=evaluation.seen,
@@ -336,10 +344,10 @@ class Updating:
             sensitivity_methods=matrix.methods_had if matrix else (),
             sensitivity_keys=matrix.keys if matrix else (),
             sensitivity_age=matrix.age if matrix else 0,
-            sensitivity_skipped=trial.skipped,
-            slope=trial.slope,
-            accepted=trial.accepted,
-            decision=trial.decision,
+            sensitivity_skipped=skipped,
+            slope=trial.slope if trial else np.nan,
+            accepted=accepted,
+            decision=decision,
             regularisation=step.regularisation if step else np.nan,
             condition=step.condition if step else np.nan,
             modal_key=evaluation.key,
@@ -349,8 +357,8 @@ class Updating:
             solved_by=evaluation.solved_by,
         )
         self.iterations.append(record)
-        self.matrix = trial.newest
-        if trial.accepted:
+        self.matrix = newest
+        if accepted:
             self.kept = [*self.kept[:1], evaluation]
         self.progress.iteration(record)
         self.save(self._record("running", ""))
@@ -409,7 +417,7 @@ def update_campaign(
     forecast: is called before the start and after each iteration with what is still to come.
     Raises SolverError, ModesError, StoreError.
     """
-    campaign.solver_version()  # a missing solver is told before anything else starts
+    campaign.solver_version()  # a missing solver is reported before anything starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     check_writable(folder, "name another place for run folders with --runs")
     with FileLock(folder / ".lock") as lock:
@@ -449,7 +457,7 @@ def _update(
         doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
         if doubt:
             logger.warning("%s; `model.checks: [units]` accepts that", doubt)
-    # What several models cost side by side nobody has worked out yet.
+    # There is no forecast of several models.
     if len(campaign.cases) > 1:
         forecast = None
     forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
@@ -479,9 +487,8 @@ def update_from_starts(
 ) -> CampaignRun:
     """Update a campaign's model from as many starts as it asks for.
 
-    From one start this is `update_campaign`, whose arguments and errors these are, and which looks
-    at the others too where sets cost little. Where updates from some starts fail the others stand;
-    raises where all fail.
+    Arguments and errors are those of `update_campaign`, which this is for one start, and which
+    tries the others too where evaluations are cheap. Raises where all starts fail.
     """
     campaign = settled(campaign)
     n = campaign.update.starts or 1
@@ -490,7 +497,7 @@ def update_from_starts(
     if _cost_little(campaign):
         try:
             return update_campaign(campaign, folder, progress, forecast)
-        except ModesError as error:  # of the campaign's own start: the others go by themselves
+        except ModesError as error:  # of the campaign's own start: the others run separately
             logger.warning("the update from the campaign's own start failed: %s", error)
     campaign.solver_version()
     began = time.monotonic()
@@ -529,7 +536,7 @@ def update_from_starts(
 
 
 def _cost_little(campaign: Campaign) -> bool:
-    """Whether sets cost little beside the first of them."""
+    """Return whether evaluations are cheap after the first one."""
     engine = job_engine(campaign)
     return evaluator_of(campaign, engine).sets_cost_little
 

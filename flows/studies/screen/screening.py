@@ -30,7 +30,7 @@ from modetune.flows.studies.screen.sensitivity import (
     other_rows,
 )
 from modetune.flows.updating.evaluation import Evaluation
-from modetune.flows.updating.evaluators import evaluator_of
+from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.poses import settled
 
