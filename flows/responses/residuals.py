@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from inspect import cleandoc
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, TypeVar, get_args
@@ -212,7 +213,7 @@ def weighting_of(
         _by_sensor(values, test.modes)
         for values in (section.sensor_deviation, section.sensor_weight)
     )
-    return Weighting(*by_mode, *by_sensor, frequency_correlation=correlation)
+    return replace(Weighting(*by_mode, *by_sensor), frequency_correlation=correlation)
 
 
 def kept_sensors(section: ResidualSection, test: MeasuredModes) -> MeasuredModes:
