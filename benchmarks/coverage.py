@@ -43,7 +43,7 @@ from modetune.core.modes import COMPONENTS, REPEATED, Floats, MeasuredModes, Mod
 from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.observation import observe
-from modetune.core.updating.reduced_model import reduce, unreduced
+from modetune.core.updating.reduced_basis import reduce, unreduced
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import Execution

@@ -33,7 +33,7 @@ PARTS = (
         ("core/algebra/pardiso.py", "core/algebra/mumps.py", "core/algebra/factorisation.py"),
     ),
     ("modes from matrices", ("core/algebra/",)),
-    ("reduced models", ("core/updating/reduced_model.py", "core/updating/derivative_vectors.py")),
+    ("reduced models", ("core/updating/reduced_basis.py", "core/updating/derivative_vectors.py")),
     ("parameter matrices", ("core/updating/parameter_matrices.py",)),
     ("report", ("flows/report/", "flows/server/artifacts.py")),
     ("reading results", ("adapters/calculix/", "adapters/matrices/", "adapters/nastran/")),

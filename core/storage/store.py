@@ -34,7 +34,7 @@ from modetune.core.storage.locks import FileLock
 from modetune.core.storage.sealed_file import content, holds, read_head, sealed
 from modetune.core.updating.job_results import ModalResult, ModesForecast, Result
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.reduced_model import ReducedModel, ReducedRange
+from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange
 from modetune.core.updating.sensitivity import ModeDerivatives
 
 R = TypeVar("R")

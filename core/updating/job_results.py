@@ -14,7 +14,7 @@ from modetune.core.errors import ModesError
 from modetune.core.measurement.registration import Registration
 from modetune.core.modes import Floats, Integers, ModeSet
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.reduced_model import ReducedModel, ReducedRange
+from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange
 from modetune.core.updating.sensitivity import ModeDerivatives
 
 

@@ -31,7 +31,7 @@ from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_steps import Step
-from modetune.core.updating.reduced_model import RangeUse, range_sets
+from modetune.core.updating.reduced_basis import RangeUse, range_sets
 from modetune.core.updating.residual import residual_sensitivity
 from modetune.core.updating.responses.frequencies import Frequencies
 from modetune.core.updating.responses.response import ModelState, StateDerivatives

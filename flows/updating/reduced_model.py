@@ -2,9 +2,9 @@
 
     matrix jobs, once      K(p), M(p) for all values             `matrices.py`
     each point             modes of K(theta), M(theta)           `solutions.py`: a factorisation
-    with them              a reduced model around the point      `core/updating/reduced`
+    with them              a reduced model around the point      `core/updating/reduced_basis`
     each step              the whole problem on reduced models   `loop.py`: milliseconds
-    many points            a reduced model within the bounds     `core/updating/reduced_range`
+    many points            a reduced model within the bounds     `core/updating/reduced_basis`
     at the end             the solver's own modes or matrices    one job a case
 
 `ByMatrices` solves the whole matrices at each point; `ReducedModes` takes a reduced model, one
@@ -28,7 +28,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError, ModesError, ModetuneError, NoResult
 from modetune.core.modes import Floats
 from modetune.core.updating.job_results import ModalResult
-from modetune.core.updating.reduced_model import ReducedModel, ReducedRange
+from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange
 from modetune.core.updating.responses.response import MatricesAt
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, JobOutcome

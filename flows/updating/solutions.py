@@ -45,7 +45,7 @@ from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.updating.derivative_vectors import MOST_FORCES
 from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_matrices import ParameterMatrices, differences
-from modetune.core.updating.reduced_model import ReducedModel, ReducedRange, reduce, reduce_over
+from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange, reduce, reduce_over
 from modetune.core.updating.sensitivity import ModeDerivatives, nelson
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, R

@@ -22,7 +22,7 @@ from modetune.core.errors import ModelError, ModesError, SolverError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.campaign_record import CampaignRecord
-from modetune.core.updating.reduced_model import unreduced
+from modetune.core.updating.reduced_basis import unreduced
 from modetune.core.updating.trust import StartSpread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation

@@ -25,7 +25,7 @@ its field.
                     region, at sets of the posterior where these cost little, else left out
     failures        texts of solver runs that were left out
     reduced_model/  where sets were evaluated by one: attributes sets, vectors, solutions, asked,
-                    error, estimate, in_full, solver, apart, where (`core/updating/reduced_model`)
+                    error, estimate, in_full, solver, apart, where (`core/updating/reduced_basis`)
     runs/           attributes modal, sensitivity, reused, core_s, licence_s
 
 Values of parameters are relative to the deck's.
@@ -42,7 +42,7 @@ from modetune.core.brief import brief
 from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.storage.sealed_file import RecordFile
-from modetune.core.updating.reduced_model import RangeUse
+from modetune.core.updating.reduced_basis import RangeUse
 from modetune.flows.studies.sample.surrogate import Training
 
 

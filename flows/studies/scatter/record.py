@@ -13,7 +13,7 @@ from modetune.core.brief import brief
 from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.storage.sealed_file import RecordFile
-from modetune.core.updating.reduced_model import RangeUse
+from modetune.core.updating.reduced_basis import RangeUse
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -16,7 +16,7 @@ from modetune.core.brief import brief
 from modetune.core.modes import Floats, mode_name
 from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.storage.sealed_file import RecordFile
-from modetune.core.updating.reduced_model import RangeUse
+from modetune.core.updating.reduced_basis import RangeUse
 from modetune.flows.studies.screen.choice import ChosenParameters
 from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.indices import Indices

@@ -26,7 +26,7 @@ from modetune.core.updating.parameter_matrices import (
     Powers,
     parameter_matrices,
 )
-from modetune.core.updating.reduced_model import ReducedModel, ReducedPart
+from modetune.core.updating.reduced_basis import ReducedModel, ReducedPart
 from modetune.core.updating.sensitivity import ModeDerivatives
 
 KEY = "ab" + "0" * 62

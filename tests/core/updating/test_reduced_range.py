@@ -9,8 +9,8 @@ from scipy.stats import qmc
 
 from modetune.core.modes import Floats
 from modetune.core.updating.parameter_matrices import ParameterMatrices
-from modetune.core.updating.reduced_model import ReducedRange, reduce_over
-from tests.core.updating.test_reduced_model import MODELS, Full
+from modetune.core.updating.reduced_basis import ReducedRange, reduce_over
+from tests.core.updating.test_reduced_basis import MODELS, Full
 
 ACCURACY = 1e-6
 

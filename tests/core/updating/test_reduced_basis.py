@@ -24,7 +24,7 @@ from modetune.core.updating.parameter_matrices import (
     parameter_matrices,
     separate,
 )
-from modetune.core.updating.reduced_model import ReducedModel, reduce, with_directions
+from modetune.core.updating.reduced_basis import ReducedModel, reduce, with_directions
 from modetune.core.updating.sensitivity import ModeDerivatives, fox_kapoor, nelson
 from tests.core.matrix_decks import bar, matrices_of, plates
 from tests.core.updating.test_parameter_matrices import SHELL_POWERS
