@@ -63,7 +63,7 @@ from tests.adapters.nastran.test_solver import deck as chain_deck
 from tests.adapters.test_files.measured_tests import Wanted, made
 from tests.adapters.test_files.test_universal_broken import WHOLE as UNIVERSAL_DATASETS
 from tests.adapters.test_files.universal_text import binary_58
-from tests.core.storage.test_record import record
+from tests.core.storage.test_campaign_record import record
 from tests.core.storage.test_store import KEY, modal
 from tests.one_matrix import read_matrix
 

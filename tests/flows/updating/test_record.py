@@ -15,7 +15,7 @@ from modetune.core.errors import StorageUnavailable
 from modetune.core.storage.campaign_record import read_record
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.updating.record import _deck_digest, unfinished_record
-from tests.core.storage.test_record import record
+from tests.core.storage.test_campaign_record import record
 
 RUNNING = replace(record(), status="running", reason="")
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -20,7 +20,7 @@ from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.sample.summary import findings, summary
 from modetune.flows.updating.update import update_campaign
-from tests.core.storage.test_seal import refused_when_damaged
+from tests.core.storage.test_sealed_file import refused_when_damaged
 
 TRUTH = {"k1": 1.2, "k3": 0.8}
 MODES = (1, 2, 3)

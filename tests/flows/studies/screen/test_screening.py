@@ -28,7 +28,7 @@ from modetune.flows.studies.screen.request import ScreeningMethod, ScreeningRequ
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.studies.screen.summary import lines, summary, tables
 from modetune.flows.updating.forecast import Unwatched
-from tests.core.storage.test_seal import refused_when_damaged
+from tests.core.storage.test_sealed_file import refused_when_damaged
 from tests.flows.conftest import Bench, ChainDeck, ScriptedProgram, chain_modes, recased
 from tests.flows.studies.screen.conftest import series_hz
 
