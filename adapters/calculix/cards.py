@@ -67,7 +67,7 @@ Finder = Callable[[KeywordDeck, KeywordCard, str, Kinds], list[KeywordField]]
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
+class KeywordNumbers:
     """The numbers of a card that one quantity is.
 
     powers: the matrices are a sum of these powers of their relative value and a constant; empty
@@ -84,7 +84,7 @@ class Numbers:
 
 
 @dataclass(frozen=True, slots=True)
-class Card:
+class Keyword:
     """A keyword, the owner of its numbers and the matrices that these move.
 
     moves: empty for a card whose lines are not numbers of K and M alone. massless: whether its
@@ -94,7 +94,7 @@ class Card:
     name: str
     owner: Literal["material", "elset"]
     moves: Literal["", "K", "M", "KM"] = ""
-    numbers: Mapping[Quantity, Numbers] = field(default_factory=dict)
+    numbers: Mapping[Quantity, KeywordNumbers] = field(default_factory=dict)
     massless: bool = False
 
     @property
@@ -249,36 +249,39 @@ def _loss(deck: KeywordDeck, card: KeywordCard, name: str, kinds: Kinds) -> list
 
 
 _ROWS = (
-    Card("*ELASTIC", "material", "K", {
-        "youngs_modulus": Numbers(_constants("youngs_modulus"), (1,), energy=True),
-        "shear_modulus": Numbers(_constants("shear_modulus"), (1,)),
-        "poissons_ratio": Numbers(_constants("poissons_ratio")),
+    Keyword("*ELASTIC", "material", "K", {
+        "youngs_modulus": KeywordNumbers(_constants("youngs_modulus"), (1,), energy=True),
+        "shear_modulus": KeywordNumbers(_constants("shear_modulus"), (1,)),
+        "poissons_ratio": KeywordNumbers(_constants("poissons_ratio")),
     }),
-    Card("*DENSITY", "material", "M", {"density": Numbers(_each_line, (1,))}),
-    Card("*DAMPING", "material", numbers={
-        "structural_damping": Numbers(
+    Keyword("*DENSITY", "material", "M", {"density": KeywordNumbers(_each_line, (1,))}),
+    Keyword("*DAMPING", "material", numbers={
+        "structural_damping": KeywordNumbers(
             _loss, (1,), once=True,
             absent="material {name} has no loss factor: write *DAMPING, STRUCTURAL=value below its "
             "*MATERIAL",
         ),
     }),
-    Card("*SOLID SECTION", "elset", "KM"),
-    Card("*SHELL SECTION", "elset", "KM", {
-        "thickness": Numbers(_thickness, ACROSS),
-        "ply_angle": Numbers(
+    Keyword("*SOLID SECTION", "elset", "KM"),
+    Keyword("*SHELL SECTION", "elset", "KM", {
+        "thickness": KeywordNumbers(_thickness, ACROSS),
+        "ply_angle": KeywordNumbers(
             _ply_angle,
             absent="no layer of {name} has an *ORIENTATION with an angle (its second line: axis, "
             "angle)",
         ),
     }),
-    Card("*BEAM SECTION", "elset", "KM", {"dimension": Numbers(_dimension, ACROSS)}),
-    Card("*MEMBRANE SECTION", "elset"),
-    Card("*SPRING", "elset", "K", {"spring_stiffness": Numbers(_spring, (1,), energy=True)},
-         massless=True),
-    Card("*MASS", "elset", "M", {"mass": Numbers(_first, (1,))}),
-    Card("*DASHPOT", "elset", numbers={"viscous_damping": Numbers(_dashpot, (1,))}, massless=True),
-    Card("*GAP", "elset", massless=True),
-    Card("*USER SECTION", "elset"),
+    Keyword("*BEAM SECTION", "elset", "KM", {"dimension": KeywordNumbers(_dimension, ACROSS)}),
+    Keyword("*MEMBRANE SECTION", "elset"),
+    Keyword("*SPRING", "elset", "K", {
+        "spring_stiffness": KeywordNumbers(_spring, (1,), energy=True),
+    }, massless=True),
+    Keyword("*MASS", "elset", "M", {"mass": KeywordNumbers(_first, (1,))}),
+    Keyword("*DASHPOT", "elset", numbers={
+        "viscous_damping": KeywordNumbers(_dashpot, (1,)),
+    }, massless=True),
+    Keyword("*GAP", "elset", massless=True),
+    Keyword("*USER SECTION", "elset"),
 )  # fmt: skip
 #: Rows by their keyword as a deck's cards have it.
 CARDS = {canonical_name(row.name): row for row in _ROWS}
@@ -293,7 +296,7 @@ OF_MATERIAL = (
 )  # fmt: skip
 
 
-def rows_with(quantity: Quantity) -> list[Card]:
+def rows_with(quantity: Quantity) -> list[Keyword]:
     """Return the cards that have a quantity."""
     return [row for row in _ROWS if quantity in row.numbers]
 

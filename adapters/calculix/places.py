@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from modetune.adapters.calculix.cards import Card, KeywordField, rows_with
+from modetune.adapters.calculix.cards import Keyword, KeywordField, rows_with
 from modetune.adapters.calculix.deck import (
     KeywordCard,
     canonical_name,
@@ -144,7 +144,11 @@ def fields_of(
 
 
 def numbers_on(
-    structure: CalculixStructure, row: Card, quantity: Quantity, card: KeywordCard, name: str
+    structure: CalculixStructure,
+    row: Keyword,
+    quantity: Quantity,
+    card: KeywordCard,
+    name: str,
 ) -> list[KeywordField]:
     """Return the numbers of a quantity on one of their cards. Raises ModelError."""
     elements = structure.mesh.elements
@@ -157,9 +161,9 @@ def numbers_on(
 
 def _cards(
     structure: CalculixStructure, quantity: Quantity, name: str
-) -> list[tuple[Card, KeywordCard]]:
+) -> list[tuple[Keyword, KeywordCard]]:
     """Return the cards of a material or an element set with a quantity. Raises ModelError."""
-    found, refusals = list[tuple[Card, KeywordCard]](), list[str]()
+    found, refusals = list[tuple[Keyword, KeywordCard]](), list[str]()
     for row in rows_with(quantity):
         cards = _owned(structure, row, name)
         found += [(row, card) for card in cards]
@@ -174,7 +178,7 @@ def _cards(
     return found
 
 
-def _owned(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCard]:
+def _owned(structure: CalculixStructure, row: Keyword, name: str) -> list[KeywordCard]:
     """Return a row's cards of a material, or of a set or parts of it. Raises ModelError."""
     if row.owner == "material":
         return _of_material(structure, row, name)
@@ -188,7 +192,7 @@ def _owned(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCa
     return cards
 
 
-def _of_material(structure: CalculixStructure, row: Card, name: str) -> list[KeywordCard]:
+def _of_material(structure: CalculixStructure, row: Keyword, name: str) -> list[KeywordCard]:
     names = [card.option("NAME") for card in structure.deck.named("*MATERIAL")]
     if name not in names:
         raise ModelError(f"the deck has no material {name}{suggestion(name, names)}")

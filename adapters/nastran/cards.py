@@ -47,7 +47,7 @@ DIMENSIONS = {"PBARL": PBARL.valid_types, "PBEAML": PBEAML.valid_types}
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
+class CardNumbers:
     """The numbers of a card that one quantity is.
 
     moves: which of K and M they move. powers: K and M are a sum of these powers of their relative
@@ -69,7 +69,7 @@ class Numbers:
 
 
 @dataclass(frozen=True, slots=True)
-class Card:
+class CardKind:
     """A kind of card.
 
     numbers: by quantity. idents: fields of the numbers by which others name it, several on a card
@@ -81,7 +81,7 @@ class Card:
 
     name: str
     owner: Literal["material", "property", "element", "mass"]
-    numbers: Mapping[Quantity, Numbers] = field(default_factory=dict)
+    numbers: Mapping[Quantity, CardNumbers] = field(default_factory=dict)
     idents: tuple[int, ...] = (1,)
     materials: tuple[int, ...] = (2,)
     plies: tuple[int, int] | None = None
@@ -231,30 +231,30 @@ def _bush(kind: str) -> Finder:
     return found
 
 
-def _stiffness(*fields: Field | Finder) -> Numbers:
-    return Numbers(fields, "K", (1,), energy=True)
+def _stiffness(*fields: Field | Finder) -> CardNumbers:
+    return CardNumbers(fields, "K", (1,), energy=True)
 
 
-def _mass(*fields: Field) -> Numbers:
-    return Numbers(fields, "M", (1,))
+def _mass(*fields: Field) -> CardNumbers:
+    return CardNumbers(fields, "M", (1,))
 
 
-def _linear(*fields: Field | Finder, series: tuple[int, ...] = ()) -> Numbers:
-    return Numbers(fields, powers=(1,), series=series)
+def _linear(*fields: Field | Finder, series: tuple[int, ...] = ()) -> CardNumbers:
+    return CardNumbers(fields, powers=(1,), series=series)
 
 
-def _damping(*fields: Field | Finder) -> Numbers:
-    return Numbers(fields, "", (1,))
+def _damping(*fields: Field | Finder) -> CardNumbers:
+    return CardNumbers(fields, "", (1,))
 
 
-def _other(*fields: Field | Finder) -> Numbers:
-    return Numbers(fields)
+def _other(*fields: Field | Finder) -> CardNumbers:
+    return CardNumbers(fields)
 
 
-def _beam(quantity: Quantity) -> Numbers:
+def _beam(quantity: Quantity) -> CardNumbers:
     """K is linear in J and NSM of a PBEAM; its A and I act in series with shear (blank K is 1)."""
     linear = quantity in ("torsion_constant", "nonstructural_mass")
-    return Numbers((_stations(quantity),), powers=(1,) if linear else (), stations=True)
+    return CardNumbers((_stations(quantity),), powers=(1,) if linear else (), stations=True)
 
 
 _MAT9 = ("11", "12", "13", "14", "15", "16", "22", "23", "24", "25", "26", "33", "34", "35",
@@ -267,7 +267,7 @@ _ENDS = tuple((place, 10 + place, f"W{place - 3 * (place > 3)}{'AB'[place > 3]}"
               for place in range(1, 7))  # fmt: skip
 _INERTIA = ((11, 9, "I11"), (21, 10, "I21"), (22, 11, "I22"), (31, 12, "I31"), (32, 13, "I32"),
             (33, 14, "I33"))  # fmt: skip
-_LAMINATE: dict[Quantity, Numbers] = {
+_LAMINATE: dict[Quantity, CardNumbers] = {
     "thickness": _other(_ply_thicknesses),
     "ply_angle": _other(_ply_angles),
     "nonstructural_mass": _linear((0, 3, "NSM")),
@@ -275,7 +275,7 @@ _LAMINATE: dict[Quantity, Numbers] = {
     "structural_damping": _damping((0, 7, "GE")),
 }
 _ROWS = (
-    Card("MAT1", "material", {
+    CardKind("MAT1", "material", {
         # G goes along with E, so that Poisson's ratio stays and the stiffness is proportional.
         "youngs_modulus": _stiffness((0, 2, "E"), (-1, 3, "G")),
         "shear_modulus": _other((0, 3, "G")),
@@ -283,14 +283,14 @@ _ROWS = (
         "density": _mass((0, 5, "RHO")),
         "structural_damping": _damping((0, 8, "GE")),
     }),
-    Card("MAT2", "material", {
+    CardKind("MAT2", "material", {
         "youngs_modulus": _stiffness((11, 2, "G11"), (12, 3, "G12"), (13, 4, "G13"),
                                      (22, 5, "G22"), (23, 6, "G23"), (33, 7, "G33")),
         "density": _mass((0, 8, "RHO")),
         "structural_damping": _damping((0, 12, "GE")),
     }),
-    Card("MAT3", "material", {"density": _mass((0, 8, "RHO"))}),
-    Card("MAT8", "material", {
+    CardKind("MAT3", "material", {"density": _mass((0, 8, "RHO"))}),
+    CardKind("MAT8", "material", {
         "youngs_modulus": _stiffness((1, 2, "E1"), (2, 3, "E2"), (-1, 5, "G12"), (-1, 6, "G1Z"),
                                      (-1, 7, "G2Z")),
         "shear_modulus": _other((12, 5, "G12"), (13, 6, "G1Z"), (23, 7, "G2Z")),
@@ -298,27 +298,27 @@ _ROWS = (
         "density": _mass((0, 8, "RHO")),
         "structural_damping": _damping((0, 17, "GE")),
     }),
-    Card("MAT9", "material", {
+    CardKind("MAT9", "material", {
         "youngs_modulus": _stiffness(*((int(pair), at, f"G{pair}")
                                        for at, pair in enumerate(_MAT9, start=2))),
         "density": _mass((0, 23, "RHO")),
         "structural_damping": _damping((0, 31, "GE")),
     }),
-    Card("MAT10", "material", {"density": _mass((0, 3, "RHO"))}),
-    Card("MAT11", "material", {"density": _mass((0, 11, "RHO"))}),
-    Card("PSHELL", "property", {
-        "thickness": Numbers(((0, 3, "T"),), powers=PLATE),
-        "bending_inertia_ratio": Numbers(((0, 5, "6"),), blank=1.0, needs=(4, "MID2")),
-        "shear_thickness_ratio": Numbers(((0, 7, "TS/T"),), blank=0.833333, needs=(6, "MID3")),
+    CardKind("MAT10", "material", {"density": _mass((0, 3, "RHO"))}),
+    CardKind("MAT11", "material", {"density": _mass((0, 11, "RHO"))}),
+    CardKind("PSHELL", "property", {
+        "thickness": CardNumbers(((0, 3, "T"),), powers=PLATE),
+        "bending_inertia_ratio": CardNumbers(((0, 5, "6"),), blank=1.0, needs=(4, "MID2")),
+        "shear_thickness_ratio": CardNumbers(((0, 7, "TS/T"),), blank=0.833333, needs=(6, "MID3")),
         "nonstructural_mass": _linear((0, 8, "NSM")),
     }, materials=(2, 4, 6, 11)),
-    Card("PSHEAR", "property", {
+    CardKind("PSHEAR", "property", {
         "thickness": _other((0, 3, "T")),
         "nonstructural_mass": _linear((0, 4, "NSM")),
     }),
-    Card("PCOMP", "property", _LAMINATE, plies=(9, 4)),
-    Card("PCOMPG", "property", _LAMINATE, plies=(10, 8)),
-    Card("PBAR", "property", {
+    CardKind("PCOMP", "property", _LAMINATE, plies=(9, 4)),
+    CardKind("PCOMPG", "property", _LAMINATE, plies=(10, 8)),
+    CardKind("PBAR", "property", {
         "area": _linear((0, 3, "A"), series=_SHEAR),
         "inertia_1": _linear((0, 4, "I1"), series=_SHEAR),
         "inertia_2": _linear((0, 5, "I2"), series=_SHEAR),
@@ -327,63 +327,69 @@ _ROWS = (
         "shear_factor": _other((1, 17, "K1"), (2, 18, "K2")),
         "nonstructural_mass": _linear((0, 7, "NSM")),
     }),
-    Card("PBARL", "property", {
+    CardKind("PBARL", "property", {
         "dimension": _other(_dimensions),
         "nonstructural_mass": _linear(_section_mass),
     }),
-    Card("PBEAM", "property", {
+    CardKind("PBEAM", "property", {
         **{quantity: _beam(quantity) for quantity in STATION},
-        "shear_factor": Numbers((_after_stations((1, 0, "K1"), (2, 1, "K2")),), blank=1.0),
+        "shear_factor": CardNumbers((_after_stations((1, 0, "K1"), (2, 1, "K2")),), blank=1.0),
         "offset": _other(_after_stations((1, 12, "N1(A)"), (2, 13, "N2(A)"), (3, 14, "N1(B)"),
                                          (4, 15, "N2(B)"))),
     }),
-    Card("PBEAML", "property", {"dimension": _other(_dimensions)}),
-    Card("PROD", "property", {
+    CardKind("PBEAML", "property", {"dimension": _other(_dimensions)}),
+    CardKind("PROD", "property", {
         "area": _linear((0, 3, "A")),
         "torsion_constant": _linear((0, 4, "J")),
         "nonstructural_mass": _linear((0, 6, "NSM")),
     }),
-    Card("PTUBE", "property", {"nonstructural_mass": _linear((0, 5, "NSM"))}),
-    Card("PELAS", "property", {
+    CardKind("PTUBE", "property", {"nonstructural_mass": _linear((0, 5, "NSM"))}),
+    CardKind("PELAS", "property", {
         "spring_stiffness": _stiffness((0, 2, "K1")),
         "structural_damping": _damping((0, 3, "GE1")),
     }, idents=(1, 5)),
-    Card("PBUSH", "property", {
+    CardKind("PBUSH", "property", {
         "spring_stiffness": _stiffness(_bush("K")),
         "viscous_damping": _damping(_bush("B")),
         "structural_damping": _damping(_bush("GE")),
     }),
-    Card("PDAMP", "property", {"viscous_damping": _damping((0, 2, "B1"))}, idents=(1, 3, 5, 7)),
+    CardKind("PDAMP", "property", {"viscous_damping": _damping((0, 2, "B1"))}, idents=(1, 3, 5, 7)),
     # Along the line (item 1) and about it (item 2).
-    Card("PVISC", "property", {"viscous_damping": _damping((1, 2, "CE1"), (2, 3, "CR1"))},
+    CardKind("PVISC", "property", {"viscous_damping": _damping((1, 2, "CE1"), (2, 3, "CR1"))},
          idents=(1, 5)),
-    Card("CONROD", "element", {
+    CardKind("CONROD", "element", {
         "area": _linear((0, 5, "A")),
         "torsion_constant": _linear((0, 6, "J")),
         "nonstructural_mass": _linear((0, 8, "NSM")),
     }, materials=(4,)),
-    Card("CBAR", "element", {"offset": _other(*_ENDS)}),
-    Card("CBEAM", "element", {"offset": _other(*_ENDS)}),
-    *(Card(name, "element", {"offset": _other((0, 8, "ZOFFS"))}) for name in ("CQUAD4", "CQUADR")),
-    *(Card(name, "element", {"offset": _other((0, 7, "ZOFFS"))}) for name in ("CTRIA3", "CTRIAR")),
-    Card("CELAS1", "element", form="scalar"),
-    Card("CELAS2", "element", {
+    CardKind("CBAR", "element", {"offset": _other(*_ENDS)}),
+    CardKind("CBEAM", "element", {"offset": _other(*_ENDS)}),
+    *(
+        CardKind(name, "element", {"offset": _other((0, 8, "ZOFFS"))})
+        for name in ("CQUAD4", "CQUADR")
+    ),
+    *(
+        CardKind(name, "element", {"offset": _other((0, 7, "ZOFFS"))})
+        for name in ("CTRIA3", "CTRIAR")
+    ),
+    CardKind("CELAS1", "element", form="scalar"),
+    CardKind("CELAS2", "element", {
         "spring_stiffness": _stiffness((0, 2, "K")),
         "structural_damping": _damping((0, 7, "GE")),
     }, form="scalar"),
-    Card("CELAS3", "element", form="scalar"),
-    Card("CELAS4", "element", {"spring_stiffness": _stiffness((0, 2, "K"))}, form="scalar"),
-    Card("CDAMP1", "element", form="scalar"),
-    Card("CDAMP2", "element", {"viscous_damping": _damping((0, 2, "B"))}, form="scalar"),
-    Card("CDAMP3", "element", form="scalar"),
-    Card("CDAMP4", "element", {"viscous_damping": _damping((0, 2, "B"))}, form="scalar"),
-    Card("CVISC", "element", form="line"),
-    Card("CBUSH", "element", form="bush"),
-    Card("CBUSH1D", "element", unfollowed="c"),
-    Card("CBUSH2D", "element", unfollowed="b1"),
-    Card("CMASS2", "mass", {"mass": _mass((0, 2, "M"))}),
-    Card("CMASS4", "mass", {"mass": _mass((0, 2, "M"))}),
-    Card("CONM2", "mass", {
+    CardKind("CELAS3", "element", form="scalar"),
+    CardKind("CELAS4", "element", {"spring_stiffness": _stiffness((0, 2, "K"))}, form="scalar"),
+    CardKind("CDAMP1", "element", form="scalar"),
+    CardKind("CDAMP2", "element", {"viscous_damping": _damping((0, 2, "B"))}, form="scalar"),
+    CardKind("CDAMP3", "element", form="scalar"),
+    CardKind("CDAMP4", "element", {"viscous_damping": _damping((0, 2, "B"))}, form="scalar"),
+    CardKind("CVISC", "element", form="line"),
+    CardKind("CBUSH", "element", form="bush"),
+    CardKind("CBUSH1D", "element", unfollowed="c"),
+    CardKind("CBUSH2D", "element", unfollowed="b1"),
+    CardKind("CMASS2", "mass", {"mass": _mass((0, 2, "M"))}),
+    CardKind("CMASS4", "mass", {"mass": _mass((0, 2, "M"))}),
+    CardKind("CONM2", "mass", {
         # The inertia goes along with the mass: the body keeps its shape.
         "mass": _mass((0, 4, "M"), *((-1, at, symbol) for _, at, symbol in _INERTIA)),
         "rotary_inertia": _linear(*_INERTIA),

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 
 from modetune.adapters.deck_numbers import FROM_ZERO, check_moved, check_one
 from modetune.adapters.nastran.bulk import Cards
-from modetune.adapters.nastran.cards import CARDS, Field, Numbers, fields_of, holds, station_rows
+from modetune.adapters.nastran.cards import (
+    CARDS,
+    CardNumbers,
+    Field,
+    fields_of,
+    holds,
+    station_rows,
+)
 from modetune.adapters.nastran.fields import NastranCard
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import AffectedElements, Target
@@ -246,7 +253,7 @@ def select(
     ]
 
 
-def law_of(place: ValuePlace, parameter: Parameter) -> Numbers:
+def law_of(place: ValuePlace, parameter: Parameter) -> CardNumbers:
     """Return the facts about a number from the row of its card."""
     return CARDS[place.card.name].numbers[parameter.quantity]
 
