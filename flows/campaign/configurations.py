@@ -90,43 +90,36 @@ def configuration_files(
 def _joint_problems(
     source: YamlFile, file: CampaignFile, sections: Sequence[ConfigurationSection]
 ) -> list[str]:
-    found = []
+    found: list[str] = []
+
+    def add(place: Place, problem: str) -> None:
+        found.append(f"{source.where(place)}: {problem}")
+
     names = [section.name for section in sections]
+    used = [section.name for section in sections if not section.hold_out]
     for place, item in enumerate(file.configurations):
         if names.count(item.name) > 1:
-            other = " (the campaign's own `model` and `test` are called so)"
-            found.append(
-                f"{source.where(('configurations', place, 'name'))}: configurations: the name "
-                f"{item.name} is given twice{other if item.name == BASE else ''}"
-            )
-    if all(section.hold_out for section in sections):
-        found.append(
-            f"{source.where(('configurations',))}: all configurations are held out, so "
-            "nothing is left to update with"
-        )
+            other = " (the campaign's own `model` and `test` are called so)" * (item.name == BASE)
+            said = f"configurations: the name {item.name} is given twice{other}"
+            add(("configurations", place, "name"), said)
+    if not used:
+        said = "all configurations are held out, so nothing is left to update with"
+        add(("configurations",), said)
     for place, parameter in enumerate(file.parameters):
-        unknown = sorted(set(parameter.configurations or ()) - set(names))
+        own, at = set(parameter.configurations or ()), ("parameters", place, "configurations")
+        unknown = sorted(own - set(names))
         if unknown:
-            found.append(
-                f"{source.where(('parameters', place, 'configurations'))}: {parameter.name}: "
-                f"there is no configuration {unknown[0]}{suggestion(unknown[0], names)}"
-            )
-        used = [section.name for section in sections if not section.hold_out]
-        if parameter.configurations is not None and not set(parameter.configurations) & set(used):
-            found.append(
-                f"{source.where(('parameters', place, 'configurations'))}: {parameter.name} is in "
-                f"no configuration that is used; these are {', '.join(used)}"
-            )
+            near = suggestion(unknown[0], names)
+            add(at, f"{parameter.name}: there is no configuration {unknown[0]}{near}")
+        if own.isdisjoint(used) and parameter.configurations is not None:
+            said = f"{parameter.name} is in no configuration that is used; these are "
+            add(at, said + ", ".join(used))
     if file.update.start == "last":
-        found.append(
-            f"{source.where(('update', 'start'))}: `start: last` is for campaigns with "
-            "one configuration; several start from the decks"
-        )
+        said = "`start: last` is for campaigns with one configuration; several start from the decks"
+        add(("update", "start"), said)
     if file.run.engine == "dask":
-        found.append(
-            f"{source.where(('run', 'engine'))}: several configurations run with "
-            "`engine: local` or `slurm`"
-        )
+        said = "several configurations run with `engine: local` or `slurm`"
+        add(("run", "engine"), said)
     return found
 
 
