@@ -29,7 +29,41 @@ LINES = (
         '    "modes": ("modes", BEFORE),\n',
         '    "spacing": ("spacing", BEFORE),\n',
     ),
+    (
+        "adapters/calculix/cards.py",
+        '    Keyword("*GAP", "elset", massless=True),\n',
+        '    Keyword("*CONNECTOR ELASTICITY", "elset", "K", {\n'
+        '        "spring_stiffness": KeywordNumbers(_first, (1,), energy=True),\n'
+        "    }, massless=True),\n",
+    ),
 )
+#: A deck with the card whose row is added, and a program that doubles its stiffness.
+DECK = """\
+*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+*ELEMENT, TYPE=SPRING2, ELSET=MOUNT
+1, 1, 2
+*ELEMENT, TYPE=MASS, ELSET=BODY
+2, 2
+*CONNECTOR ELASTICITY, ELSET=MOUNT
+70.
+*MASS, ELSET=BODY
+1.
+*STEP
+*FREQUENCY
+1
+*END STEP
+"""
+DOUBLE = """
+from pathlib import Path
+from modetune.adapters.calculix.solver import calculix_solver
+from modetune.core.parameters import Parameter
+
+k = Parameter("k", "spring_stiffness", "elset", ("MOUNT",), 0.5, 2.0, 0.1)
+deck = calculix_solver(Path("mount.inp"), (k,)).deck
+print(deck.write_updated({"k": 2.0}, Path("updated")).read_text())
+"""
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +108,9 @@ def test_a_study_takes_a_file_and_a_line(house: Path) -> None:
     found = json.loads(succeeds(house, "-m", "modetune", "spacing", str(model), *options))
     assert found["modes"] == [1, 2]
     assert found["gap"] == pytest.approx(1.0 - 2.0 / (3.0 + np.sqrt(5.0)))
+
+
+def test_a_card_takes_a_row(house: Path) -> None:
+    (house / "mount.inp").write_text(DECK, encoding="utf-8")
+    (house / "updated").mkdir()
+    assert succeeds(house, "-c", DOUBLE).strip() == DECK.replace("70.", "140.0").strip()
