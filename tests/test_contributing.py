@@ -16,7 +16,8 @@ REFERENCE = re.compile(r"`((?:[\w.-]+/)+[\w.-]*)(?:: (\w+))?`")
 
 def references(page: Path) -> list[tuple[str, str]]:
     """Paths and the names in them that a page gives; a name is empty where none follows."""
-    return [match.groups(default="") for match in REFERENCE.finditer(page.read_text("utf-8"))]
+    found = REFERENCE.finditer(page.read_text("utf-8"))
+    return [(match[1], match[2] or "") for match in found]
 
 
 def rows() -> list[list[str]]:
