@@ -1,10 +1,10 @@
 """Pages of the documentation that follow from the program: keys, commands, the JSON schema.
 
     python tools/reference_pages.py            writes them into docs/
-    python tools/reference_pages.py --check    names those that are no longer what they would be
+    python tools/reference_pages.py --check    lists those that are out of date
 
-Texts come from the docstrings of `flows/campaign/schema` and of the commands; a key's unit stands
-in square brackets at the end of its docstring.
+Texts come from the docstrings of `flows/campaign/schema` and of the commands; a key's unit is in
+square brackets at the end of its docstring.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from modetune.flows.cli.main import app
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MADE = "<!-- Made by tools/reference_pages.py (`make docs`); change the docstrings instead. -->\n"
-#: What stands for the values of options.
+#: Placeholders for the values of options.
 WORDS = {Path: "PATH", int: "INTEGER", float: "NUMBER"}
 UNIT = re.compile(r"^(.*?)\s*\[([^\[\]]+)\]$", re.DOTALL)
 KEYS_HEAD = f"""{MADE}
@@ -104,7 +104,7 @@ and `exit_code`. Progress and messages go to standard error.
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A campaign key: its place, what it may be, and what the schema says of it."""
+    """A campaign key: its place, what it may be, and its meaning."""
 
     place: str
     kind: str
@@ -137,6 +137,7 @@ def _keys(schema: dict[str, Any], section: dict[str, Any], above: str) -> Iterat
     for name, described in section["properties"].items():
         inner, many = _section(schema, described)
         meaning = described.get("description") or (inner or {}).get("description", "")
+        meaning = " ".join(meaning.split())
         unit = ""
         if found := UNIT.match(meaning):
             meaning, unit = found[1] + ".", found[2]
@@ -145,14 +146,18 @@ def _keys(schema: dict[str, Any], section: dict[str, Any], above: str) -> Iterat
         if inner is None or _other_kinds(described):
             kind = _kind(described) or "text"
             yield Key(
-                above + name, kind, unit, "needed" if name in needed else shown, _sentence(meaning)
+                above + name,
+                kind,
+                unit,
+                "required" if name in needed else shown,
+                _sentence(meaning),
             )
         if inner is not None:
             yield from _keys(schema, inner, f"{above}{name}[]." if many else f"{above}{name}.")
 
 
 def _value(default: Any) -> str:
-    """A default as it would stand in a campaign."""
+    """A default as a campaign file would give it."""
     if isinstance(default, float):
         return f"{default:g}"
     return default if isinstance(default, str) else json.dumps(default)
@@ -216,7 +221,7 @@ def _plural(kind: str) -> str:
 
 
 def _table(keys: list[Key]) -> str:
-    head = "| key | what it may be | unit | default | meaning |\n| --- | --- | --- | --- | --- |"
+    head = "| key | value | unit | default | meaning |\n| --- | --- | --- | --- | --- |"
     return "\n".join([head, *(key.row() for key in keys)]) + "\n"
 
 
@@ -256,7 +261,7 @@ def _option(parameter: Any) -> str:
         shown += f" {_word(parameter.type_descriptor.annotation)}"
     default = parameter.default
     if parameter.required:
-        told = "needed"
+        told = "required"
     elif default is None or default is False or default == [] or callable(default):
         told = ""
     else:

@@ -45,36 +45,39 @@ Targets = str | int | tuple[str | int, ...]
 
 
 class FieldSection(Section):
-    """A value for each element or zone of what a parameter scales; neighbours go together."""
+    """A field: one value for each element or zone that the parameter scales, with a prior that
+    connects neighbours."""
 
     zones: Literal["elements"] | Annotated[int, Field(ge=2, le=MOST_ZONES)] = "elements"
-    """How many connected zones have a value of their own; `elements`: each element."""
+    """Number of connected zones, each with its own value; `elements`: one value per element."""
     smoothing: Smoothing = "neighbours"
-    """What is taken for likely beforehand: `neighbours` change alike; `total_variation`: patches
-    with few edges; `sparse`: few zones change."""
+    """Prior assumption about the field: `neighbours`, neighbours change alike; `total_variation`,
+    patches with few edges; `sparse`, few zones change."""
     length: Positive = 3.0
-    """Over how many zones values go together; `sparse` knows no neighbours."""
+    """Number of zones over which values are correlated; `sparse` does not use it."""
 
 
 class ParameterSection(Section):
-    """One updating parameter; bounds, deviation and initial are relative to the deck's value unless
-    `values` says otherwise."""
+    """One updating parameter. Bounds, deviation and initial value are relative to the deck's value
+    unless `values` changes that."""
 
     name: Name
-    """What the parameter is called in tables, in the record, in expressions and in `--at`."""
+    """Name of the parameter in tables, in the record, in expressions and in `--at`."""
     quantity: Quantity
-    """What of the model it moves; `variable`: nothing itself; expressions of others or
-    `residuals.frf.damping` name it."""
+    """Quantity of the model that the parameter changes. `variable` changes nothing directly:
+    expressions of other parameters or `residuals.frf.damping` refer to it."""
     values: ValueKind = "relative"
-    """What its values are: factors on the deck's value; `absolute`: the value itself, in the deck's
-    units; `additive`: what is added to the deck's value. Those two may be zero or change their
-    sign, and need `bounds` and `deviation`, absolute ones `initial`: nothing else tells their
-    size."""
+    """Meaning of the values: `relative`, factors on the deck's value; `absolute`, the value itself,
+    in the deck's units; `additive`, an amount added to the deck's value. Absolute and additive
+    values may be zero or change sign, so they need `bounds` and `deviation`, and absolute ones
+    `initial`: nothing else defines their magnitude."""
     expression: Annotated[str, Field(min_length=1, max_length=500)] | None = None
-    """Arithmetic of other parameters' values, such as `width**4 / 12`, that gives its value: then
-    it has no freedom, bounds, deviation or start of its own."""
+    """Arithmetic expression of other parameters' values, such as `width**4 / 12`, that gives this
+    parameter's value. The parameter is then not free: it has no bounds, deviation or initial
+    value."""
     item: Annotated[int, Field(ge=0)] = 0
-    """Which of a card's numbers: a ply, a dimension, a direction; 0: the one, or all."""
+    """Which number of a card to change: a ply, a dimension, a direction; 0: the only one, or
+    all."""
     material: Targets | None = None
     """Material, or a list of them tied together."""
     elset: Targets | None = None
@@ -82,20 +85,22 @@ class ParameterSection(Section):
     property: Targets | None = None
     """Number of a Nastran property, or a list of them tied together."""
     element: Targets | None = None
-    """Number or range (`101-120`) of elements, or a list of them tied together. What they share
-    with others (a material, a property, a section) is copied for them."""
+    """Number or range (`101-120`) of elements, or a list of them tied together. modetune gives them
+    their own copy of any material, property or section that they share with others."""
     part: Targets | None = None
-    """Part of a model of matrices, or a list of them tied together."""
+    """Part of a model given as matrices, or a list of them tied together."""
     bounds: tuple[Finite, Finite] = (0.5, 2.0)
-    """Least and largest value [of the deck's value]"""
+    """Lowest and highest value [of the deck's value]"""
     deviation: Positive = 0.2
-    """How uncertain the value is beforehand: its standard deviation [of the deck's value]"""
+    """Prior standard deviation of the value, before the test [of the deck's value]"""
     initial: Finite = 1.0
-    """The value that updating starts from; of additive ones 0 unless given [of the deck's value]"""
+    """Value from which updating starts; 0 by default if values are additive [of the deck's
+    value]"""
     field: FieldSection | None = None
-    """Elements or zones with a value each, in place of one value of all."""
+    """One value for each element or zone, instead of a single value."""
     configurations: Annotated[tuple[Name, ...], Field(min_length=1)] | None = None
-    """Names of the configurations it belongs to; without it all whose deck has what it scales."""
+    """Names of the configurations to which the parameter belongs; without it all whose deck
+    contains what it scales."""
 
     @model_validator(mode="after")
     def _sound(self) -> ParameterSection:

@@ -65,22 +65,24 @@ Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]
 
 
 class EditSection(Section):
-    """Where a number of the deck stands that has no placeholder."""
+    """Location of a number in the deck that has no placeholder."""
 
     parameter: Name
-    """The parameter that scales it."""
+    """Name of the parameter that scales the number."""
     file: str | None = None
-    """Which of `inputs` it stands in; without it the deck."""
+    """The file of `inputs` that contains the number; without this key the deck."""
     line: Number | None = None
-    """Its line, with `field` or `columns`."""
+    """Line of the number, with `field` or `columns`."""
     field: Number | None = None
-    """Which word of the line: between commas, or between blanks where the line has none."""
+    """Position of the number among the words of the line, from 1. Commas separate words, or blanks
+    if the line has no comma."""
     columns: tuple[Number, Number] | None = None
-    """First and last column, for decks of fixed fields."""
+    """First and last column of the number, for decks with fixed fields."""
     pattern: str | None = None
-    """A regular expression with one group, the number, wherever it matches."""
+    """Regular expression with one group, the number; it applies wherever it matches."""
     format: str = ""
-    """How it is written, `12.5E`; without it all digits, in `columns` as many as fit."""
+    """Format of the number, such as `12.5E`; without it all digits, or in `columns` as many as
+    fit."""
 
     @model_validator(mode="after")
     def _placed(self) -> EditSection:
@@ -99,49 +101,50 @@ class EditSection(Section):
 
 
 class CommandSection(Section):
-    """The program of `solver: command`: how it is started, and what it leaves. Its files are named
-    relative to the deck."""
+    """The program of `solver: command`: how modetune starts it, and which files it writes. Paths
+    are relative to the deck."""
 
     run: Annotated[tuple[Word, ...], Field(min_length=1)]
-    """Program and arguments, one a word, no shell: `[abaqus, "job={job}", interactive]`. {deck},
-    {job} (the deck without its ending), {cores}, {folder} and {python} stand for those of the
-    job."""
+    """Program and arguments as a list, without a shell: `[abaqus, "job={job}", interactive]`.
+    modetune replaces {deck}, {job} (the deck without its suffix), {cores}, {folder} and {python} by
+    the values of the job."""
     version: Annotated[str, Field(min_length=1)] | Annotated[tuple[Word, ...], Field(min_length=1)]
-    """The program's version, or the command line that prints it: results of another version are
-    other results."""
+    """The program's version, or the command line that prints it. The store keeps results of
+    different versions apart."""
     name: Name = "command"
-    """What the program is called in tables and in `run.licences`."""
+    """Name of the program in tables and in `run.licences`."""
     nodes: str
-    """File of the nodes that results have: `node,x,y,z` as CSV, a universal file, or HDF5; lines
-    and faces in it are drawn."""
+    """File with the nodes of the results: `node,x,y,z` as CSV, a universal file, or HDF5. Figures
+    show the lines and faces in it."""
     components: Annotated[
         tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...], Field(min_length=1)
     ] = ("x", "y", "z")
-    """Which motions results have at each node."""
+    """Components of motion that the results contain at each node."""
     results: str | None = None
-    """File that the program leaves with frequencies and shapes: .csv, .unv, .h5, .op2, .f06, .pch
+    """File with frequencies and shapes that the program writes: .csv, .unv, .h5, .op2, .f06, .pch
     or .frd."""
     reader: str | None = None
-    """In place of `results` a function that reads them, `file.py:function` or
+    """Function that reads the results, instead of `results`: `file.py:function` or
     `package.module:function`."""
     normalisation: Literal["mass", "max", "unknown"] = "mass"
-    """How the program scales shapes, where the file does not tell."""
+    """How the program scales mode shapes, if the file does not define it."""
     most_modes: Number | None = None
-    """How many modes the deck gives at most, where that is fewer than are asked for."""
+    """Maximum number of modes that the deck gives, if modetune may request more."""
     inputs: tuple[str, ...] = ()
-    """More files that the deck needs beside it; numbers may stand in them too."""
+    """Further files that the deck needs; parameters may scale numbers in them too."""
     delimiters: tuple[Delimiter, Delimiter] = ("{", "}")
-    """What stands around placeholders."""
+    """Characters before and after a placeholder."""
     edits: tuple[EditSection, ...] = ()
-    """Where numbers without a placeholder stand."""
+    """Locations of numbers without a placeholder."""
     success: tuple[str, ...] = ()
-    """Patterns that each must be found in a line of `logs`: without them a run has failed."""
+    """Patterns, each of which must match a line of `logs`; otherwise the run has failed."""
     fatal: tuple[str, ...] = ()
-    """Patterns of lines by which the program refuses a deck."""
+    """Patterns of the lines with which the program refuses a deck."""
     logs: tuple[str, ...] = ("solver.log",)
-    """Files that both are looked for in, `*.msg`; solver.log is what the program prints."""
+    """Files to search for both kinds of pattern, such as `*.msg`; solver.log has the program's
+    output."""
     exit_codes: Annotated[tuple[int, ...], Field(min_length=1)] = (0,)
-    """Codes that the program ends with after a good run."""
+    """Exit codes of a successful run."""
 
     @model_validator(mode="after")
     def _one_form(self) -> CommandSection:
@@ -167,31 +170,32 @@ class CommandSection(Section):
 
 
 class SensorSection(Section):
-    """How a test's points are laid over the model."""
+    """How sensors are assigned to nodes of the model."""
 
     by: Literal["position", "number"] = "position"
-    """`position` finds nodes by the test's coordinates, `number` takes the node of the same number;
-    so does a test without coordinates."""
+    """`position` finds nodes by the test's coordinates; `number` takes the node with the same
+    number, as does any test without coordinates."""
     align: Literal["none", "fit"] | None = None
-    """`fit` finds rotation and translation, and the scale where no unit tells it; those given here
-    choose then among fits that cannot be told apart. `none` takes those given here, and else the
-    model's axes. Without it: `match` alone fixes the alignment, else `none`."""
+    """`fit` finds rotation and translation, and the scale if no unit defines it; any values given
+    here then choose among equally good fits. `none` takes the values given here, and otherwise the
+    model's axes. Without this key `match` alone fixes the alignment, and otherwise it is `none`."""
     scale: Annotated[Finite, Field(gt=0.0)] | None = None
-    """Model lengths a test length; without it from the units of both."""
+    """Model lengths per test length; without it the ratio of the two units."""
     rotation: Triple | tuple[Triple, Triple, Triple] | None = None
-    """From the test's axes to the model's: degrees about the model's x, then y, then z; or a
-    matrix, three rows."""
+    """Rotation from the test's axes to the model's: degrees about the model's x, then y, then z; or
+    a matrix of three rows."""
     translation: Triple | None = None
-    """Where the test's origin lies in the model, in the model's length."""
+    """Position of the test's origin in the model, in the model's length unit."""
     match: dict[Number, Number | Triple] = Field(default={})
-    """Landmarks by hand: test node to model node, or to a place in the model's axes and length.
-    Three or more, not on one line, fix the alignment; with `align: fit` fewer do, which choose."""
+    """Landmarks set by hand: test node to model node, or to a position in the model's axes and
+    length unit. Three or more that are not collinear fix the alignment; with `align: fit` fewer are
+    enough to choose among fits."""
     tolerance: Annotated[Finite, Field(gt=0.0)] | None = None
-    """How far a sensor may be from its node, in the model's length; without it 2 % of the model's
-    box diagonal, or half the mean element edge where that is more."""
+    """Maximum distance of a sensor from its node, in the model's length unit; without it 2 % of the
+    diagonal of the model's bounding box, or half the mean element edge if that is larger."""
     unmapped: Literal["refuse", "leave_out"] = "refuse"
-    """What is done with sensors that no node is near enough to, or whose motion the model's results
-    lack."""
+    """What to do with sensors that have no node within the tolerance, or whose motion is missing
+    from the model's results."""
 
     @model_validator(mode="after")
     def _sound(self) -> SensorSection:
@@ -236,27 +240,27 @@ class ModelSection(Section):
     """The finite element model."""
 
     deck: str
-    """Path of the deck, relative to the campaign file; its includes are followed."""
+    """Path of the deck, relative to the campaign file; modetune reads its includes too."""
     solver: SolverName | Name = "calculix"
-    """The program that runs the deck; `calculix` runs Nastran decks too, by translation; `command`
-    any program; or one that an installed package brings."""
+    """The program that runs the deck. `calculix` also runs Nastran decks, by translation; `command`
+    runs any program; installed packages may add others."""
     command: CommandSection | None = None
     """The program of `solver: command`."""
     dialect: NastranDialect = "msc"
-    """Which Nastran: MSC, or Simcenter (NX)."""
+    """Nastran dialect: MSC or Simcenter (NX)."""
     eigensolver: Eigensolver = "auto"
-    """Who finds the modes while updating: `solver`, the solver itself; `pardiso`, modetune from the
-    matrices that CalculiX or MYSTRAN assembles once, with the solver's own run at the end;
-    `mixed_precision`, the same with factors in single precision, which take half the memory;
-    `auto`, what is expected to take less, in single precision where memory asks for it."""
+    """What computes the modes during updating: `solver`, the solver itself; `pardiso`, modetune,
+    from the matrices that CalculiX or MYSTRAN assembles once, with a solver run at the end;
+    `mixed_precision`, the same with single-precision factors, which take half the memory; `auto`,
+    whichever should be faster, in single precision if memory requires it."""
     units: Units
-    """The consistent units that the deck is written in."""
+    """Consistent units of the deck."""
     rigid_modes: Literal["auto"] | Annotated[int, Field(ge=0, le=1000)] = "auto"
-    """How many modes are rigid: bodies that are free, and mechanisms; `auto`: those without strain
-    energy. A number that the energies contradict is refused."""
+    """Number of rigid-body modes, from free bodies and mechanisms; `auto`: the modes without strain
+    energy. modetune refuses a number that the strain energies contradict."""
     checks: tuple[ModelCheck, ...] = ()
-    """Doubts about the model that are known and accepted: `units`, by the speed of sound in most of
-    its mass; `size`; `mass`."""
+    """Doubts about the model that you have examined and accept: `units`, from the speed of sound in
+    most of its mass; `size`; `mass`."""
 
     @model_validator(mode="after")
     def _described(self) -> ModelSection:
@@ -271,32 +275,36 @@ class ModelSection(Section):
 
 
 class TestSection(Section):
-    """The test: its file, and the numbers of the modes that are used."""
+    """The test: its files, and the numbers of the modes to use."""
 
     __test__ = False
 
     modes: str | Annotated[tuple[str, ...], Field(min_length=1)]
     """Path of the measured modes (CSV, universal file, HDF5), relative to the campaign file; or a
-    list of files that belong together: modes, geometry, response functions."""
+    list of the files of one test: modes, geometry, response functions."""
     repeats: tuple[str, ...] = ()
-    """Files of the same test done again: the mean of all is taken, and deviations from how they
-    scatter."""
+    """Files of repetitions of the test. modetune uses the mean of all, and takes deviations from
+    their scatter."""
     length: LengthUnit | None = None
-    """Unit of the test's coordinates, where its files do not tell."""
+    """Length unit of the test's coordinates, if its files do not define it."""
     axes: Literal["auto", "rows", "columns"] = "auto"
-    """Whether a universal file's coordinate systems (dataset 2420) hold their axes as rows or as
-    columns; `auto` by the program that wrote the file and by the lines of its drawing."""
+    """Whether the coordinate systems of a universal file (dataset 2420) have their axes as rows or
+    as columns; `auto` decides by the program that wrote the file and by the lines of its
+    drawing."""
     sensors: SensorSection = SensorSection()
-    """How the test's points are laid over the model."""
+    """How sensors are assigned to nodes of the model."""
     use: tuple[int, ...] | None = Field(default=None, min_length=1)
-    """Numbers of the modes that are used; without it all of them that are not held out."""
+    """Numbers of the modes to use; without it all modes that are not held out."""
     hold_out: tuple[int, ...] = ()
-    """Numbers of modes that are not used, and judged before and after updating."""
+    """Numbers of modes that updating does not use; modetune compares them with the model before and
+    after."""
     pairs: dict[int, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
-    """Pairs by hand, `{4: 5}`: number of a test mode, and of the elastic mode of the first model
-    that answers it, as `check` counts them. Later on it is followed by its computed shape."""
+    """Pairs set by hand, `{4: 5}`: the number of a test mode, and that of its elastic mode of the
+    initial model, as `check` counts them. Later iterations follow that mode by its computed
+    shape."""
     unmatched: Literal["stop", "drop"] = "stop"
-    """A test mode that no computed mode answers: the run stops, or goes on without that mode."""
+    """What to do with a test mode that cannot be paired: stop the run, or drop that mode and
+    continue."""
 
     @model_validator(mode="after")
     def _different(self) -> TestSection:
@@ -313,113 +321,116 @@ class TestSection(Section):
 
 
 class ConfigurationSection(Section):
-    """A configuration of the structure (fuel, payload, boundary conditions): own model and test,
-    parameters shared with the others."""
+    """A configuration of the structure (fuel, payload, boundary conditions), with its own model and
+    test; all configurations share the parameters."""
 
     name: Name
-    """What the configuration is called in tables, and its folder of the updated deck."""
+    """Name of the configuration in tables, and of the folder with its updated deck."""
     model: ModelSection
-    """Its finite element model."""
+    """The configuration's finite element model."""
     test: TestSection
-    """What was measured of it."""
+    """The configuration's test."""
     residuals: ResidualSection | None = None
-    """What of it is compared, and how exactly it was measured; without it as the campaign says."""
+    """Responses to compare in this configuration, with their deviations; without it the campaign's
+    `residuals`."""
     weight: Positive = 1.0
-    """Emphasis of all its residuals."""
+    """Weight of all residuals of the configuration."""
     hold_out: bool = False
-    """Whether it is not used, and judged before and after updating."""
+    """Hold the configuration out: updating does not use it, and modetune compares it with the model
+    before and after."""
 
 
 class ReportSection(Section):
-    """What is kept and made to look at."""
+    """The report, and the shapes that the record keeps for it."""
 
     page: bool = True
-    """Whether `update` leaves report.html in its run folder."""
+    """Whether `update` writes report.html to its run folder."""
     nodes: Annotated[int, Field(ge=0, le=100_000)] = 4000
-    """Shapes are kept at the sensors and at no more than so many nodes of the model's surface."""
+    """Maximum number of surface nodes at which the record keeps shapes, in addition to the
+    sensors."""
 
 
 class E1Section(Section):
-    """Agreement that ends updating: relative frequency error, and least MAC."""
+    """Tolerances of a converged campaign: relative frequency error and minimum MAC."""
 
     frequency: Positive = 0.01
-    """Largest frequency error of a model that agrees [of the measured frequency]"""
+    """Largest frequency error that e1 accepts [of the measured frequency]"""
     mac: Share = 0.9
-    """Least MAC of a model that agrees, wherever shapes were measured."""
+    """Smallest MAC that e1 accepts, wherever shapes were measured."""
 
 
 class UpdateSection(Section):
-    """The updating steps."""
+    """Updating: starting points, steps and tolerances."""
 
     start: Literal["deck", "last"] = "deck"
-    """Begin at the deck's values, or where the run before ended."""
+    """Start from the deck's values, or from the final values of the previous run."""
     starts: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Updates from so many starts, the campaign's own and others within the bounds; the best is
-    the answer. Without it one, and others beside where sets cost little."""
+    """Number of starting points: the campaign's own and others within the bounds; the best solution
+    is the answer. Without this key one, and more if evaluations are cheap."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Seed of the starts that are drawn."""
+    """Seed of the random starting points."""
     step: StepForm = "trust_region"
-    """How the step follows from residual and sensitivity (see the theory)."""
+    """How to compute the step from residual and sensitivity (see the theory)."""
     regularisation: NotNegative | Found = 1.0
-    """Factor on the parameters' own weights; the corner of the L-curve; or `discrepancy`, what
-    leaves as much as deviations explain. With `trust_region` the first step's. With fields
-    `l_curve` unless given."""
+    """Factor on the parameters' own weights; `l_curve`, its value at the corner of the L-curve; or
+    `discrepancy`, the value that leaves a residual as large as the deviations explain. With
+    `trust_region` it applies to the first step. The default with fields is `l_curve`."""
     e1: E1Section = E1Section()
-    """Agreement that ends updating."""
+    """Tolerances of a converged campaign."""
     e2: NotNegative = 0.2
-    """Change of the residual a parameter, up to which a sensitivity is skipped; 0: never. With
-    `between: keep` it is 0.002 unless given."""
+    """Change of the residual per parameter up to which an iteration reuses its sensitivity; 0:
+    never. The default with `between: keep` is 0.002."""
     confirm: Literal["auto", "modes", "matrices"] = "auto"
-    """What ends updating by stored matrices: `modes`, a modal job of the solver at the final
-    values; `matrices`, the matrices that it assembles there, whose modes are found anew and counted
-    where memory or disk have room for it: it takes half the time, but the solver's own
-    eigensolution is not seen; `auto`, matrices where a modal job is expected to take ten seconds or
-    more."""
+    """How updating with stored matrices confirms its final values: `modes`, by a modal job of the
+    solver; `matrices`, by matrices that the solver assembles there, whose modes modetune computes
+    again, and counts if memory or disk has room: this takes half the time, but omits the solver's
+    own eigensolution; `auto`, by matrices if a modal job should take ten seconds or more."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
-    """Steps that are taken at most."""
+    """Maximum number of steps."""
     step_limit: Positive = 0.2
-    """Largest change of a parameter in one step; with `trust_region` in the first, after which it
-    grows as steps keep their promise [of the deck's value]"""
+    """Largest change of a parameter in one step; with `trust_region` in the first step, after which
+    the limit grows while steps improve the misfit as predicted [of the deck's value]"""
 
 
 class SensitivitySection(Section):
-    """How sensitivities are computed, and what is used in between."""
+    """How to compute sensitivities, and what to use when an iteration computes none."""
 
     method: Method = "auto"
-    """How derivatives are computed; `auto`: the cheapest exact way for each parameter."""
+    """How to compute derivatives; `auto`: the cheapest exact method for each parameter."""
     between: Literal["keep", "broyden"] = "broyden"
-    """While e2 skips: the old matrix as it is, or with Broyden's correction."""
+    """Sensitivity of an iteration that computes none, within e2: the previous matrix unchanged, or
+    with Broyden's correction."""
     difference: Literal["forward", "central"] = "forward"
-    """Which finite differences: one job a parameter, or two."""
+    """Kind of finite differences: one job per parameter, or two."""
     step: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.01
-    """Step of finite differences [of the parameter's value]"""
+    """Step size of finite differences [of the parameter's value]"""
 
 
 class CampaignFile(Section):
     """A whole campaign file."""
 
     name: Name
-    """Names the run folder, `runs/<name>`."""
+    """Name of the campaign and of its run folder, `runs/<name>`."""
     configurations: tuple[ConfigurationSection, ...] = ()
-    """Several configurations of one structure, updated at once with shared parameters."""
+    """Several configurations of one structure, updated together with shared parameters."""
     model: ModelSection = Field(default=None, validate_default=True)
-    """The finite element model; needed unless there are `configurations`."""
+    """The finite element model; required unless there are `configurations`."""
     test: TestSection = Field(default=None, validate_default=True)
-    """What was measured; needed unless there are `configurations`."""
+    """The test; required unless there are `configurations`."""
     parameters: tuple[ParameterSection, ...] = Field(min_length=1)
-    """What of the model may change."""
+    """The parameters that updating may change."""
     residuals: ResidualSection = ResidualSection()
-    """What is compared, and how exactly it was measured."""
+    """Responses to compare, with their weights and deviations."""
     update: UpdateSection = UpdateSection()
-    """The updating steps."""
+    """Updating: starting points, steps and tolerances."""
     sensitivity: SensitivitySection = SensitivitySection()
-    """How derivatives are computed."""
+    """How to compute sensitivities."""
     report: ReportSection = ReportSection()
-    """What is kept and made to look at."""
+    """The report, and the shapes that the record keeps for it."""
     run: RunSection = RunSection()
     """How jobs run."""
     store: str | None = None
-    """Folder of results; else MODETUNE_STORE, or `.modetune/store` beside the campaign."""
+    """Folder of the store; default: MODETUNE_STORE, or `.modetune/store` next to the campaign."""
 
     @field_validator("model", "test", mode="wrap")
     @classmethod
@@ -507,11 +518,11 @@ class CampaignFile(Section):
 
 
 class OpenFile(CampaignFile):
-    """A campaign file whose `test` and `parameters` may be missing: what can be looked at without
+    """A campaign file whose `test` and `parameters` may be missing, for studies that do not need
     them."""
 
     parameters: tuple[ParameterSection, ...] = ()
-    """What of the model may change."""
+    """The parameters that updating may change."""
 
     @model_validator(mode="before")
     @classmethod

@@ -42,43 +42,43 @@ Retries = Annotated[int, Field(ge=0, le=10)]
 
 
 class SlurmSection(Section):
-    """What `srun` is told besides threads and licences; time: of one job, in Slurm's notation."""
+    """Options of `srun` in addition to threads and licences."""
 
     partition: Label | None = None
-    """Partition that jobs go to."""
+    """Partition to which jobs are submitted."""
     account: Label | None = None
-    """Account that they are charged to."""
+    """Account to which jobs are charged."""
     time: Label | None = None
     """Time limit of one job in Slurm's notation; without it `run.timeout_s`."""
     options: tuple[Word, ...] = ()
-    """More options of `srun`, one a word."""
+    """Further options of `srun`, as a list."""
 
 
 class DaskSection(Section):
-    """The Dask cluster: a scheduler that runs, processes of this machine, or jobs of a queue.
+    """The Dask cluster: a running scheduler, processes on this machine, or jobs in a queue.
 
-    memory, walltime, queue, account, interface, directives and prologue are of the jobs that a
-    queue (slurm, pbs, lsf) is asked for.
+    memory, walltime, queue, account, interface, directives and prologue apply to jobs that modetune
+    submits to a queue (slurm, pbs, lsf).
     """
 
     scheduler: Annotated[str, Field(pattern=r"^(tcp|tls)://\S+:\d+$")] | None = None
-    """Address of a scheduler that runs, `tcp://host:8786` or `tls://...`."""
+    """Address of a running scheduler, `tcp://host:8786` or `tls://...`."""
     cluster: Literal["local", "slurm", "pbs", "lsf"] = "local"
-    """What workers are started on: this machine, or a queue."""
+    """Where workers start: on this machine, or in a queue."""
     workers: Annotated[int, Field(ge=1, le=1024)] = 2
-    """How many workers."""
+    """Number of workers."""
     memory: Label | None = None
-    """What a job of the queue may use, `4GB`."""
+    """Memory that a job in the queue may use, such as `4GB`."""
     walltime: Label | None = None
-    """How long it may run, `02:00:00`."""
+    """Time limit of a job in the queue, such as `02:00:00`."""
     queue: Label | None = None
-    """Queue or partition that it goes to."""
+    """Queue or partition to which jobs are submitted."""
     account: Label | None = None
-    """Account that it is charged to."""
+    """Account to which jobs are charged."""
     interface: Label | None = None
-    """Network interface that workers speak over."""
+    """Network interface through which workers communicate."""
     directives: tuple[Word, ...] = ()
-    """More lines of the batch script's head, one a line."""
+    """Further lines for the head of the batch script."""
     prologue: tuple[Word, ...] = ()
     """Shell lines that the batch script runs before the worker."""
 
@@ -97,57 +97,57 @@ class DaskSection(Section):
 
 
 class RetriesSection(Section):
-    """How often a job is tried again, by what became of it; a plain number goes for all."""
+    """How often to retry a job, by its outcome; a single number applies to all."""
 
     stopped: Retries = 2
-    """A job that was killed or broke off."""
+    """Retries of a job that was killed or that crashed."""
     timeout: Retries = 1
-    """A job that ran longer than `timeout_s`."""
+    """Retries of a job that ran longer than `timeout_s`."""
     no_result: Retries = 1
-    """A job that ended well and left what is not a result."""
+    """Retries of a job that ended normally without a valid result."""
 
 
 class SiteRun(Section):
-    """What a site, too, may say of how jobs run."""
+    """How jobs run: the keys that a site file may set too."""
 
     parallel: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Jobs at the same time; 0: as many as there are cores."""
+    """Number of jobs in parallel; 0: one per core."""
     threads: Annotated[int, Field(ge=0, le=1024)] = 0
-    """Threads of each job; 0: the cores, shared out among parallel jobs."""
+    """Threads per job; 0: the cores divided among the parallel jobs."""
     licences: dict[Name, Annotated[int, Field(ge=1, le=10_000)]] = Field(default={})
-    """Jobs of a solver that may run at the same time on the machine, by its name."""
+    """Maximum number of parallel jobs of a solver on this machine, by the solver's name."""
     licence_messages: tuple[Word, ...] = ()
-    """What a solver prints where no licence is free, besides what is known: parts of lines."""
+    """Further messages (parts of lines) by which a solver reports that no licence is free."""
     disk_gb: Positive = 100.0
-    """Disk that the files and the output of one job may take [GB]"""
+    """Maximum disk space for the files and output of one job [GB]"""
     memory_gb: Positive | None = None
-    """Memory of this machine that the campaign may take: jobs side by side, and factors, which go
-    to disk where they do not fit; without it what machine or container have [GB]"""
+    """Memory of this machine for parallel jobs and for factors, which go to disk if they do not
+    fit; without it the memory of the machine or container [GB]"""
     engine: Engine = "local"
-    """Where jobs run: here, under Slurm, or on a Dask cluster."""
+    """Where jobs run: on this machine, under Slurm, or on a Dask cluster."""
     slurm: SlurmSection = SlurmSection()
-    """What Slurm is told."""
+    """Options of Slurm."""
     dask: DaskSection = DaskSection()
     """The Dask cluster."""
     prefect: bool = True
-    """Prefect coordinates the run; off: a plain thread pool."""
+    """Whether Prefect coordinates the run; if not, a plain thread pool does."""
 
 
 class RunSection(SiteRun):
     """How jobs run."""
 
     retries: RetriesSection = RetriesSection()
-    """How often a job is tried again, by what became of it; one number goes for all."""
+    """How often to retry a job, by its outcome; a single number applies to all."""
     failed_column: Literal["leave_out", "stop"] = "leave_out"
-    """A sensitivity column that is unavailable: go on without it this time, or stop."""
+    """What to do if a sensitivity column is unavailable: leave it out this time, or stop."""
     timeout_s: Positive = 3600.0
-    """Longest run of one job [s]"""
+    """Time limit of one job [s]"""
     licence_pause_s: Positive = 30.0
-    """First pause of a job that got no licence; it grows by half each time [s]"""
+    """First pause of a job that got no licence; each further pause is half as long again [s]"""
     licence_wait_s: Positive = 86400.0
-    """After this wait for a licence the job is given up [s]"""
+    """Longest wait for a licence, after which the job has failed [s]"""
     keep_jobs: bool = False
-    """Keep the folders of good jobs; those of failed ones are always kept."""
+    """Keep the folders of successful jobs; those of failed jobs are always kept."""
 
     @property
     def here(self) -> bool:
@@ -170,7 +170,7 @@ class SiteFile(Section):
     """A whole site file."""
 
     run: SiteRun = SiteRun()
-    """What holds for the jobs of all campaigns of the site."""
+    """Settings for the jobs of all campaigns of the site."""
 
 
 def user_home() -> Path:

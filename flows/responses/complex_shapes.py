@@ -19,9 +19,9 @@ class ComplexSection(ModewiseSection):
     """Complex measured shapes, compared with those of the damped model."""
 
     deviation: Positive = 0.05
-    """Standard deviation of real and imaginary parts [of the shape's rms]"""
+    """Standard deviation of the real and imaginary parts [of the shape's rms]"""
     mac: Annotated[float, Field(ge=0.0, le=1.0)] = 0.9
-    """Least MAC of complex shapes that e1 allows."""
+    """Smallest MAC of complex shapes that e1 accepts."""
 
     def response(self, given: TestedModel) -> ComplexShapes:
         numbers, sensors = given.test.numbers, given.sensors

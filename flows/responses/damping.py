@@ -16,10 +16,10 @@ class DampingSection(ModewiseSection):
     """Damping ratios of the paired modes, computed from the dampers of the model."""
 
     deviation: Positive = 0.1
-    """Standard deviation of measured ratios; without it that of repeated tests, with what their
-    errors have in common [of the ratio]"""
+    """Standard deviation of measured ratios; without it, that of repeated tests if there are any,
+    with the correlation of their errors [of the ratio]"""
     tolerance: Positive = 0.2
-    """Largest error that e1 allows [of the measured ratio]"""
+    """Largest error that e1 accepts [of the measured ratio]"""
 
     def response(self, given: TestedModel) -> DampingRatios:
         weights = self.weights(given.test.numbers)

@@ -33,34 +33,34 @@ Ratio = Annotated[float, Field(gt=0.0, lt=1.0)] | Name
 
 
 class FrfSection(ResponseSection):
-    """Response functions of the test's files, as logarithms at chosen frequencies."""
+    """Response functions in the test's files, compared as logarithms at chosen frequencies."""
 
     functions: ClassVar[bool] = True
     mode_keys: ClassVar[tuple[str, ...]] = ("damping",)
 
     band: tuple[NotNegative, Positive] | None = None
-    """Lowest and highest frequency [Hz]; without it from 0.7 of the lowest to 1.1 of the highest
-    used mode"""
+    """Lowest and highest frequency [Hz]; without it 0.7 times the lowest to 1.1 times the highest
+    frequency of the used modes"""
     points: Annotated[int, Field(ge=1)] = 16
-    """Largest number of frequencies of each function."""
+    """Maximum number of frequencies per function."""
     deviation: Positive = 0.1
-    """Standard deviation of log H beside what noise tells, as by damping: of the amplitude's
-    logarithm, and of the phase [rad]"""
+    """Standard deviation of log H from causes other than noise, such as damping: that of the
+    logarithm of the amplitude, and of the phase [rad]"""
     averages: Annotated[int, Field(ge=1)] = 1
-    """Averages behind the coherence, by which it tells the noise."""
+    """Number of averages of the coherence, for estimating the noise from it."""
     coherence: Share = 0.8
-    """Least coherence of a frequency that is used."""
+    """Minimum coherence at a frequency that is used."""
     damping: Annotated[
         dict[str, Ratio], BeforeValidator(by_mode, json_schema_input_type=Ratio | dict[str, Ratio])
     ] = Field(default={})
-    """Damping ratio, of all modes or by mode, or the name of a `variable` parameter that is one;
-    without it those of the test's modes, and their median of modes without a partner. Beside
-    dampers or loss factors of the model it is what these lack, without it nothing [of the
-    critical]"""
+    """Damping ratio, one for all modes or by mode, or the name of a `variable` parameter for it;
+    without it the ratios of the test's modes, and their median for modes without a pair. If the
+    model has dampers or loss factors, the ratio is added to their damping and is zero by default
+    [of critical damping]"""
     frac: Share = 0.9
-    """Least FRAC of each function, at its frequencies, that e1 allows."""
+    """Smallest FRAC of each function, at its frequencies, that e1 accepts."""
     weight: NotNegative = 1.0
-    """Emphasis; 0 leaves them out."""
+    """Weight; 0 leaves response functions out."""
 
     @property
     def counts(self) -> bool:

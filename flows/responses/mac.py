@@ -18,10 +18,11 @@ class MacSection(ModewiseSection):
     mode_keys: ClassVar[tuple[str, ...]] = ("weight", "deviation")
 
     quantity: MacQuantity = "root"
-    """What is compared: the root of 1 - MAC, which is about linear in parameters, or 1 - MAC."""
+    """Quantity to compare: the root of 1 - MAC, which is nearly linear in the parameters, or 1 -
+    MAC."""
     deviation: Deviations = Field(default={})
-    """Standard deviation of the quantity, of all or by mode; without it what the deviation of the
-    shape's entries makes of it."""
+    """Standard deviation of the quantity, one for all modes or by mode; without it the value that
+    follows from the deviation of the shape's entries."""
 
     @property
     def shape_weights(self) -> Mapping[str, float]:

@@ -18,16 +18,16 @@ from modetune.flows.responses.section import Finite, NotNegative, Positive, Sect
 
 
 class MassQuantitySection(Section):
-    """A mass property: what was weighed, how exactly, and what no step may leave."""
+    """A mass property: its measured value and deviation, and limits that every step respects."""
 
     target: Finite | None = None
-    """What was weighed [the deck's units]"""
+    """Measured value [the deck's units]"""
     deviation: Positive | None = None
-    """Its standard deviation; needed with `target` [the deck's units]"""
+    """Standard deviation of the measured value; required with `target` [the deck's units]"""
     weight: NotNegative = 1.0
-    """Emphasis; 0 leaves the target out."""
+    """Weight; 0 leaves the target out."""
     limits: tuple[Finite | None, Finite | None] | None = None
-    """Least and largest value that a step may lead to; null: none on that side [the deck's
+    """Lowest and highest value that a step may reach; null: no limit on that side [the deck's
     units]"""
 
     @model_validator(mode="after")
@@ -61,8 +61,8 @@ class MassQuantitySection(Section):
 
 
 class MassSection(ResponseSection):
-    """Mass, centre of gravity and inertia of the model as targets and as limits: the deck's own, in
-    global axes, with inertia as the tensor about the centre of gravity."""
+    """Mass, centre of gravity and inertia of the model as targets and limits, in the deck's units
+    and global axes; the inertia tensor is about the centre of gravity."""
 
     mass: MassQuantitySection | None = None
     """Total mass."""
@@ -85,7 +85,7 @@ class MassSection(ResponseSection):
     inertia_zx: MassQuantitySection | None = None
     """Entry zx of the inertia tensor, minus the integral of z x."""
     within: Positive = 2.0
-    """Largest difference of a model that agrees, for e1 [deviations]"""
+    """Largest difference that e1 accepts [deviations]"""
 
     @model_validator(mode="after")
     def _possible(self) -> MassSection:

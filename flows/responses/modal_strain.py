@@ -23,18 +23,19 @@ class ModalStrainSection(ResponseSection):
     mode_keys: ClassVar[tuple[str, ...]] = ("modes",)
 
     gauges: Annotated[tuple[str, ...], Field(min_length=1)]
-    """Gauges, each as `node-node`: how much the distance between the two nodes grew, over it."""
+    """Gauges, each as `node-node`; the strain is the elongation between the two nodes divided by
+    their distance."""
     modes: Annotated[dict[str, tuple[Finite, ...]], BeforeValidator(by_name), Field(min_length=1)]
-    """Measured strains by the test's number of the mode, one of each gauge."""
+    """Measured strains by the test's mode number, one per gauge."""
     scale: StrainScale = "shapes"
-    """What tells the scale of a mode: its displacement shape in the test, in whose scale strains
-    were measured then, or the strains themselves."""
+    """What defines the scale of a mode: `shapes`, its displacement shape in the test, with strains
+    measured in the same scale; `own`, the strains themselves."""
     weight: NotNegative = 1.0
-    """Emphasis; 0 leaves strains out."""
+    """Weight; 0 leaves strains out."""
     deviation: Positive = 0.05
-    """Standard deviation [of the root mean square of the mode's strains]"""
+    """Standard deviation of measured strains [of the root mean square of the mode's strains]"""
     tolerance: Positive = 0.1
-    """Largest error that e1 allows [of the root mean square of the mode's strains]"""
+    """Largest error that e1 accepts [of the root mean square of the mode's strains]"""
 
     @model_validator(mode="after")
     def _whole(self) -> ModalStrainSection:

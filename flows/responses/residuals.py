@@ -1,4 +1,4 @@
-"""What a campaign compares and how exactly it was measured: its `residuals`.
+"""Responses that a campaign compares, with weights and deviations: its `residuals`.
 
 Frequencies and shapes have their keys directly below `residuals`, every other response type has a
 section. Weights and deviations go by the test's own names: a name that the test does not have, or
@@ -74,27 +74,29 @@ def with_types(section: type[Keys]) -> type[Keys]:
 
 @with_types
 class ResidualSection(Section):
-    """What is compared: emphasis of frequencies and shapes, and how exactly they were measured.
+    """Responses to compare: weights and deviations of frequencies and shapes, and the other
+    response types.
 
-    One value goes for all modes; `{1: 10, 2: 10, others: 1}` is by the test's numbers.
+    One value applies to all modes; `{1: 10, 2: 10, others: 1}` gives values by the test's mode
+    numbers.
     """
 
     frequency_weight: Weights = Field(default=1.0, validate_default=True)
-    """Emphasis of frequencies, of all or by mode; 0 leaves them out."""
+    """Weight of frequencies, one for all modes or by mode; 0 leaves them out."""
     shape_weight: Weights = Field(default=0.0, validate_default=True)
-    """Emphasis of mode shapes, of all or by mode; 0 leaves them out."""
+    """Weight of mode shapes, one for all modes or by mode; 0 leaves them out."""
     frequency_deviation: Deviations = Field(default=0.002, validate_default=True)
-    """Standard deviation of measured frequencies, of all or by mode; without it those of the
-    test, where its file or repetitions tell them [of the frequency]"""
+    """Standard deviation of measured frequencies, one for all modes or by mode; without it the
+    test's own, if its file or repetitions give them [of the frequency]"""
     shape_deviation: Deviations = Field(default=0.05, validate_default=True)
-    """Standard deviation of measured shape entries, of all or by mode; without it those of the
-    test, where its file or repetitions tell them [of the shape's rms]"""
+    """Standard deviation of measured shape entries, one for all modes or by mode; without it the
+    test's own, if its file or repetitions give them [of the shape's rms]"""
     sensor_weight: Annotated[dict[str, NotNegative], BeforeValidator(by_name)] = Field(default={})
-    """Emphasis of sensors by name, `12.z`, or all of a point, `12`; 1 unless given. 0 leaves a
-    sensor out altogether, as if it had not been there."""
+    """Weight of sensors by name, `12.z`, or of all at a point, `12`; 1 by default. 0 removes a
+    sensor from the test altogether."""
     sensor_deviation: Annotated[dict[str, Positive], BeforeValidator(by_name)] = Field(default={})
-    """Standard deviation of sensors by name, where it is another than `shape_deviation`; 1 unless
-    given [of the shape's deviation]"""
+    """Standard deviation of sensors by name, if it differs from `shape_deviation`; 1 by default [of
+    the shape's deviation]"""
 
     @property
     def kinds(self) -> dict[str, ResponseSection]:

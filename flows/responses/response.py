@@ -63,7 +63,7 @@ class TestedModel:
 
 
 class ResponseSection(Section):
-    """A response type: what was measured, how exactly, and how much it counts."""
+    """A response type: its measured values, deviations and weights."""
 
     mode_keys: ClassVar[tuple[str, ...]] = ()
     """Its keys whose values go by mode."""
@@ -121,7 +121,7 @@ class ModewiseSection(ResponseSection):
     mode_keys: ClassVar[tuple[str, ...]] = ("weight",)
 
     weight: Weights = Field(default=1.0, validate_default=True)
-    """Emphasis, of all modes or by mode; 0 leaves them out."""
+    """Weight, one for all modes or by mode; 0 leaves a mode out."""
 
     @property
     def counts(self) -> bool:

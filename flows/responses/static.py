@@ -1,4 +1,4 @@
-"""Static load cases and what was measured under them: the campaign's `residuals.static`."""
+"""Static load cases with their measured values: the campaign's `residuals.static`."""
 
 from __future__ import annotations
 
@@ -22,25 +22,27 @@ ByName = Annotated[dict[str, Finite], BeforeValidator(by_name)]
 
 
 class StaticCase(Section):
-    """A load case and what was measured under it."""
+    """A load case, and the displacements and strains measured under it."""
 
     load: Annotated[int, Field(ge=1)] | None = None
-    """Number of the deck's load case: of a CalculiX deck's *STATIC steps in turn, or of a Nastran
-    load set (FORCE, MOMENT, PLOAD, PLOAD2, PLOAD4, GRAV, LOAD)."""
+    """Number of the deck's load case: the position among the *STATIC steps of a CalculiX deck, or
+    the number of a Nastran load set (FORCE, MOMENT, PLOAD, PLOAD2, PLOAD4, GRAV, LOAD)."""
     forces: ByName = Field(default={})
-    """Forces and moments by `node.component`, in place of a load case of the deck, in its units and
-    in the axes that shapes have at the node."""
+    """Forces and moments by `node.component`, instead of a load case of the deck, in the deck's
+    units and in the axes of shapes at the node."""
     displacements: ByName = Field(default={})
     """Measured displacements and rotations by `node.component`, in the deck's units and in the axes
-    that shapes have at the node."""
+    of shapes at the node."""
     strains: ByName = Field(default={})
-    """Measured strains by `node-node`: how much the distance between two nodes grew, over it."""
+    """Measured strains by `node-node`: the elongation between the two nodes divided by their
+    distance."""
     deviation: Positive = 0.02
-    """Standard deviation [of the largest displacement, or strain, of the case]"""
+    """Standard deviation of the measured values [of the largest displacement, or strain, of the
+    case]"""
     tolerance: Positive = 0.05
-    """Largest error that e1 allows [of the largest displacement, or strain, of the case]"""
+    """Largest error that e1 accepts [of the largest displacement, or strain, of the case]"""
     weight: NotNegative = 1.0
-    """Emphasis of the case; 0 leaves it out."""
+    """Weight of the case; 0 leaves it out."""
 
     @model_validator(mode="after")
     def _whole(self) -> StaticCase:

@@ -21,7 +21,7 @@ class MeanFrequencySection(ResponseSection):
     deviation: Positive = 0.002
     """Standard deviation [of the mean]"""
     tolerance: Positive = 0.01
-    """Largest error that e1 allows [of the mean]"""
+    """Largest error that e1 accepts [of the mean]"""
 
     @property
     def counts(self) -> bool:
