@@ -300,7 +300,7 @@ def validate(
     progress: bool = False,
     prefect: bool = False,
 ) -> Validation:
-    """Judge an update by what it was not made from, before and after.
+    """Validate an update: predict held-out data before and after it.
 
     By what the campaign holds out, or by each used mode in turn.
     """

@@ -21,7 +21,7 @@ from modetune.flows.studies.study import REQUIRED, Study, StudyParameter
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
 #: What a wrong command line raises; typer has no name for it that all its versions share.
 WRONG: Any = typer.BadParameter.__bases__[0]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be run.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="List the jobs without running them.")]
 
 
 def command_of(

@@ -37,10 +37,12 @@ class CaseVerdict:
 
 
 def demo(
-    case: Annotated[str, typer.Argument(help="garteur, six-mass, fixture or lab.")] = "garteur",
+    case: Annotated[
+        str, typer.Argument(help="Case: garteur, six-mass, fixture or lab.")
+    ] = "garteur",
     as_json: AsJson = False,
 ) -> None:
-    """Run a case of the reference thesis, or a lab's test, from beginning to end, in ./demo."""
+    """Run a case of the reference thesis, or a laboratory test, from start to finish in ./demo."""
     with show_progress(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
         from modetune.flows.report.terminal import terminal

@@ -27,8 +27,8 @@ def deploy(
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
-    """Put a study of the campaign on a Prefect server, to be run by a worker, on a schedule or when
-    asked."""
+    """Deploy a study of the campaign on a Prefect server, for workers to run on a schedule or on
+    demand."""
     chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
     name = name or own_name
     with serving() as server:

@@ -19,15 +19,18 @@ if TYPE_CHECKING:
 
 CampaignFile = Annotated[
     Path | None,
-    typer.Argument(help="Campaign file whose solver and model are tried; none is needed."),
+    typer.Argument(help="Campaign file whose solver and model to test; optional."),
 ]
 Solver = Annotated[
     str | None,
-    typer.Option(help="Solver to try on a model of ten elements; else all that need no licence."),
+    typer.Option(
+        help="Solver to test on a model of ten elements; default: all that need no licence."
+    ),
 ]
-Dialect = Annotated[str, typer.Option(help="Which Nastran: msc, or nx (Simcenter).")]
+Dialect = Annotated[str, typer.Option(help="Nastran dialect: msc, or nx (Simcenter).")]
 Sent = Annotated[
-    Path, typer.Option("--file", help="The report, to be sent: JSON, or text where it ends so.")
+    Path,
+    typer.Option("--file", help="File for the report, in JSON, or in text if it ends in .txt."),
 ]
 
 
@@ -38,10 +41,10 @@ def doctor(
     file: Sent = Path("modetune-doctor.json"),
     as_json: AsJson = False,
 ) -> None:
-    """Look at the installation, and try what campaigns rely on of its solvers.
+    """Examine the installation, and test the solver features that campaigns need.
 
-    A commercial solver is tried only when named, for it takes a licence. What it passes is noted,
-    and `auto` uses it from then on. Ends with 4 where something failed.
+    Tests a commercial solver only if you name it, because that takes a licence. Stores the tests
+    that it passes; from then on `auto` uses those features. Exit code 4 if a test failed.
     """
     from modetune.flows.campaign.schema import NastranDialect
     from modetune.flows.report.terminal import terminal

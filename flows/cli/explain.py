@@ -25,11 +25,11 @@ SHORT = 12
 
 
 def explain(
-    job: Annotated[str, typer.Argument(help="Start of a job's key, or a job's folder.")],
+    job: Annotated[str, typer.Argument(help="First characters of a job's key, or a job's folder.")],
     store: StorePlace = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tell what a job is, what became of it, and in what it differs from the nearest result."""
+    """Describe a job, its outcome, and its differences from the nearest result."""
     from modetune.flows.jobs.lookup import explain_job, key_start
 
     start = key_start(job)

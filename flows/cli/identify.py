@@ -36,26 +36,31 @@ def identify(
     band: Annotated[
         tuple[float, float] | None, typer.Option(help="Lowest and highest frequency, Hz.")
     ] = None,
-    order: Annotated[int, typer.Option(min=2, help="Pairs of poles of the largest model.")] = 60,
+    order: Annotated[
+        int, typer.Option(min=2, help="Number of pole pairs of the largest model.")
+    ] = 60,
     pick: Annotated[
-        str | None, typer.Option(help="Take the poles nearest to these, with commas: 5.5,12.3")
+        str | None, typer.Option(help="Take the poles nearest to these frequencies, Hz: 5.5,12.3")
     ] = None,
     criteria: Annotated[
-        str, typer.Option(help="A stable pole agrees in frequency,damping,shape to this share.")
+        str, typer.Option(help="Relative tolerances of a stable pole: frequency,damping,shape.")
     ] = "0.01,0.05,0.02",
     estimator: Annotated[
         str | None,
         typer.Option(
-            help="Response functions from time histories: h1 (default: noise of responses), or h2 "
-            "(noise of the force)."
+            help="Response functions from time histories: h1 (default, for noise on the "
+            "responses), or h2 (for noise on the force)."
         ),
     ] = None,
     segment: Annotated[
         float | None,
-        typer.Option(help="Length of their segments, s; default: an eighth of a recording."),
+        typer.Option(
+            help="Length of the segments of time histories, s; default: an eighth of a recording."
+        ),
     ] = None,
     window: Annotated[
-        str | None, typer.Option(help="Of segments: hann (default), or boxcar for blows.")
+        str | None,
+        typer.Option(help="Window of the segments: hann (default), or boxcar for impacts."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Test file to write: .csv, .h5 or .unv.")] = None,
     figures: Figures = None,
@@ -63,8 +68,8 @@ def identify(
 ) -> None:
     """Identify modes from response functions or time histories, and write them as a test file.
 
-    Time histories with a force become response functions first; of responses alone the modes come
-    from their covariances, without a scale of shapes.
+    Converts time histories with a measured force to response functions first. From responses alone
+    it identifies modes by their covariances, without the scale of the shapes.
     """
     with (
         stoppable("stopped; the same command starts from the beginning"),

@@ -21,20 +21,18 @@ if TYPE_CHECKING:
 def init(
     deck: Annotated[Path, typer.Argument(help="The deck: CalculiX, Nastran or matrices.")],
     test: Annotated[
-        list[Path] | None, typer.Argument(help="Files of its test, where there is one.")
+        list[Path] | None, typer.Argument(help="Files of its test, if there is one.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="The file to write; campaign.yaml beside the deck unless named."),
+        typer.Option(help="File to write; default: campaign.yaml next to the deck."),
     ] = None,
     solver: SolverChoice = None,
     units: UnitsChoice = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write over files that are there.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a campaign file for a deck: test, sensors, and what could be updated, with reasons."""
+    """Draft a campaign file for a deck: test, sensors and candidate parameters, with reasons."""
     with (
         stoppable("stopped; the same command starts from the beginning"),
         show_progress(f"reading {deck}"),

@@ -39,18 +39,18 @@ def inspect(
         list[Path], typer.Argument(help="Files of one test: UFF, CSV, Excel, MATLAB, HDF5.")
     ],
     write: Annotated[
-        Path | None, typer.Option(help="Write the test as .csv, .h5 or .unv, by the suffix.")
+        Path | None, typer.Option(help="File to convert the test to: .csv, .h5 or .unv.")
     ] = None,
     metres: Annotated[
         float | None, typer.Option(help="Length unit of the coordinates, in metres.")
     ] = None,
     axes: Annotated[
         Literal["auto", "rows", "columns"],
-        typer.Option(help="What of the matrices of dataset 2420 the axes are."),
+        typer.Option(help="Whether the axes in dataset 2420 are rows or columns of its matrices."),
     ] = "auto",
     as_json: AsJson = False,
 ) -> None:
-    """Tell what the files of a test hold, and what was left out; write it in another form."""
+    """List what the files of a test contain and what was left out, and convert them."""
     from modetune.adapters.test_files.measurements import inspect_files
 
     inspection = inspect_files(files, metres, axes)

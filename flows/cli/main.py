@@ -71,7 +71,9 @@ def _print_version(wanted: bool) -> None:
 def _modetune(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_print_version, is_eager=True, help="Tell the version."),
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Finite element models that agree with vibration tests."""

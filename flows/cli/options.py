@@ -21,18 +21,18 @@ NoPrefect = Annotated[
     typer.Option(
         "--no-prefect",
         envvar="MODETUNE_NO_PREFECT",
-        help="Without Prefect: a thread pool runs the jobs.",
+        help="Run the jobs in a thread pool, without Prefect.",
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 
 StorePlace = Annotated[
     Path | None,
     typer.Option(
         "--store",
-        help="Folder of the store, or a campaign file that names it; else MODETUNE_STORE, or "
-        ".modetune/store.",
+        help="Folder of the store, or a campaign file that names it; default: "
+        "MODETUNE_STORE, or .modetune/store.",
     ),
 ]
 

@@ -23,17 +23,20 @@ if TYPE_CHECKING:
 
 def paraview(
     place: Annotated[Path, typer.Argument(help="Campaign file (YAML), or a run folder.")],
-    state: Annotated[str, typer.Option(help="Which model: initial, updated, or both.")] = "both",
+    state: Annotated[str, typer.Option(help="Model to write: initial, updated or both.")] = "both",
     out: Annotated[
-        Path | None, typer.Option(help="Where the files go; default: paraview/ in the run folder.")
+        Path | None,
+        typer.Option(help="Folder for the files; default: paraview/ in the run folder."),
     ] = None,
-    runs: Annotated[Path, typer.Option(help="Where run folders are.")] = Path("runs"),
+    runs: Annotated[Path, typer.Option(help="Folder that contains the run folders.")] = Path(
+        "runs"
+    ),
     stored: Annotated[
         bool,
         typer.Option(
             "--stored",
-            help="The paired modes on the surface that the record of a run folder keeps: no "
-            "solver run, no campaign file.",
+            help="Write the paired modes on the surface that the record of a run folder "
+            "keeps, without a solver run or campaign file.",
         ),
     ] = False,
     settings: Settings = None,

@@ -16,15 +16,18 @@ from modetune.flows.report.tables import json_object
 def report(
     record: Annotated[Path, typer.Argument(help="Run folder, or the campaign.h5 in it.")],
     out: Annotated[
-        Path | None, typer.Option(help="The page; report.html beside the record if not given.")
+        Path | None,
+        typer.Option(help="HTML file to write; default: report.html next to the record."),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(help="Folder for the same figures as pictures.")
+        Path | None, typer.Option(help="Folder for the report's figures as pictures.")
     ] = None,
-    form: Annotated[str, typer.Option("--format", help="Of the pictures: png or svg.")] = "png",
+    form: Annotated[
+        str, typer.Option("--format", help="Format of the pictures: png or svg.")
+    ] = "png",
     as_json: AsJson = False,
 ) -> None:
-    """Draw a campaign's report: one HTML file that needs no network, and pictures if asked for."""
+    """Write a campaign's report: one HTML file that needs no network, and pictures on request."""
     with show_progress(f"reading {record}") as tell:
         from modetune.core.storage.campaign_record import read_record
         from modetune.flows.report.page import write_page

@@ -12,10 +12,10 @@ from modetune.core.storage.files import writing
 
 def schema(
     out: Annotated[
-        Path | None, typer.Option(help="Write it to this file; to standard output by default.")
+        Path | None, typer.Option(help="File to write; default: standard output.")
     ] = None,
 ) -> None:
-    """Tell the JSON schema of campaign files, by which editors complete and check them."""
+    """Print the JSON schema of campaign files, with which editors complete and check them."""
     from modetune.flows.campaign.schema import schema_text
 
     text = schema_text()

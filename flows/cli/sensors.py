@@ -33,7 +33,7 @@ def sensors(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tell at which node and along which direction each sensor is read. Runs no solver."""
+    """List the node and direction of each sensor. Runs no solver."""
     with show_progress(f"reading {campaign_file}"):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.updating.poses import from_store

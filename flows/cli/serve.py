@@ -31,7 +31,7 @@ def serve(
     runs: Runs = Path("runs"),
     without_login: WithoutLogin = False,
 ) -> None:
-    """Deploy the campaign and work for its own pool in this process, until Ctrl-C."""
+    """Deploy the campaign and run it from its own work pool in this process, until Ctrl-C."""
     chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
     name = name or own_name
     os.environ.update(POLL)

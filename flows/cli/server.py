@@ -14,27 +14,31 @@ from modetune.core.errors import ModetuneError
 if TYPE_CHECKING:
     from modetune.flows.jobs.prefect_server import SharedServer
 
-server_app = typer.Typer(help="The Prefect server that commands share.", no_args_is_help=True)
+server_app = typer.Typer(
+    help="Show or stop the Prefect server that commands share.", no_args_is_help=True
+)
 
 CronLine = Annotated[
-    str | None, typer.Option("--cron", help="When it starts: minute hour day month weekday.")
+    str | None, typer.Option("--cron", help="Schedule: minute hour day month weekday.")
 ]
 StudyLine = Annotated[
     str,
     typer.Option(
         "--study",
-        help="Study and its options, as typed without the campaign: 'screen --method morris'.",
+        help="Study and its options, without the campaign file: 'screen --method morris'.",
     ),
 ]
-TimeZone = Annotated[str, typer.Option("--timezone", help="Of the schedule, e.g. Europe/Berlin.")]
-Name = Annotated[
-    str | None, typer.Option("--name", help="Of the deployment; the campaign's by default.")
+TimeZone = Annotated[
+    str, typer.Option("--timezone", help="Time zone of the schedule, e.g. Europe/Berlin.")
 ]
-Pool = Annotated[str, typer.Option("--pool", help="Work pool of campaigns; made when missing.")]
+Name = Annotated[
+    str | None, typer.Option("--name", help="Name of the deployment; default: the campaign's.")
+]
+Pool = Annotated[str, typer.Option("--pool", help="Work pool of campaigns; created if missing.")]
 WithoutLogin = Annotated[
     bool,
     typer.Option(
-        "--without-login", help="Also for a server that everybody who reaches it may use."
+        "--without-login", help="Allow a server without login, which anyone who reaches it may use."
     ),
 ]
 #: The work pool that is meant where none is named.
@@ -45,7 +49,7 @@ POLL = {"PREFECT_WORKER_QUERY_SECONDS": "5", "PREFECT_WORKER_HEARTBEAT_SECONDS":
 
 @server_app.command("status")
 def server_status() -> None:
-    """Whether the shared server runs, and where its pages are."""
+    """Show whether the shared server runs, and the address of its pages."""
     from modetune.flows.jobs import prefect_server as process
 
     home = process.server_home()
@@ -61,7 +65,7 @@ def server_status() -> None:
 
 @server_app.command("stop")
 def server_stop() -> None:
-    """End the shared server."""
+    """Stop the shared server."""
     from modetune.flows.jobs import prefect_server as process
 
     said = {

@@ -27,19 +27,15 @@ if TYPE_CHECKING:
     from modetune.flows.jobs.store_files import StoreFile
     from modetune.flows.jobs.store_index import IndexedEntry, Order
 
-store_app = typer.Typer(
-    help="The store of results: look at it, check it, shrink it.", no_args_is_help=True
-)
+store_app = typer.Typer(help="Show, check and shrink the store of results.", no_args_is_help=True)
 
 AGES_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
 SIZES = {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
 #: Digits of a key that are shown.
 SHORT = 12
 
-Older = Annotated[
-    str | None, typer.Option(help="Written longer ago than this: 90min, 12h, 30d, 8w.")
-]
-Larger = Annotated[str | None, typer.Option(help="Of at least this size: 500kB, 10MB, 1GB.")]
+Older = Annotated[str | None, typer.Option(help="Older than this: 90min, 12h, 30d, 8w.")]
+Larger = Annotated[str | None, typer.Option(help="At least this large: 500kB, 10MB, 1GB.")]
 
 
 class By(StrEnum):
@@ -78,13 +74,15 @@ class SumRow:
 @store_app.command("ls")
 def store_ls(
     store: StorePlace = None,
-    by: Annotated[By, typer.Option(help="What comes first.")] = By.newest,
+    by: Annotated[By, typer.Option(help="Which results come first.")] = By.newest,
     older: Older = None,
     larger: Larger = None,
-    limit: Annotated[int, typer.Option(help="So many are listed; 0: all.", min=0)] = 50,
+    limit: Annotated[
+        int, typer.Option(help="Maximum number of results to list; 0: all.", min=0)
+    ] = 50,
     as_json: AsJson = False,
 ) -> None:
-    """List results: when they were written, their size, what they are and what they took."""
+    """List results with their date, size, content and cost."""
     from modetune.flows.jobs.store_index import Chosen, ask_index
 
     place, _ = store_and_campaign(store)
@@ -99,7 +97,8 @@ def store_ls(
 
 @store_app.command("size")
 def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
-    """Tell how much room results take by solver, model and analysis, and what else there is."""
+    """Show the size of results by solver, model and analysis, and of everything else in the
+    store."""
     from modetune.flows.jobs.store_files import beside
     from modetune.flows.jobs.store_index import ask_index
 
@@ -135,9 +134,9 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
 
 @store_app.command("check")
 def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
-    """Read every result and tell which are damaged; these are set aside and computed again.
+    """Read every result and report damaged ones, which are set aside and computed again.
 
-    Exit code 5 where one was damaged.
+    Exit code 5 if any result was damaged.
     """
     from modetune.flows.jobs.store_files import check
 
@@ -158,19 +157,19 @@ def store_prune(
     older: Older = None,
     larger: Larger = None,
     other_formats: Annotated[
-        bool, typer.Option("--other-formats", help="Results of other versions' formats too.")
+        bool, typer.Option("--other-formats", help="Also results in formats of other versions.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Tell what would go, and remove nothing.")
+        bool, typer.Option("--dry-run", help="List what would be removed, and remove nothing.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Remove what killed runs left behind, and what is older and larger than asked.
+    """Remove leftovers of killed runs, and anything older and larger than given.
 
-    Age and size hold for results, folders of failed and kept jobs, damaged results and texts of
-    decks; where both are given both must hold, and without them only leftovers go, and with
-    --other-formats results of other formats. Results stay while a campaign runs with the store; one
-    that is needed later is computed again.
+    --older and --larger apply to results, folders of failed and kept jobs, damaged results and
+    texts of decks; if both are given, both must hold. Without them only leftovers are removed and,
+    with --other-formats, results of other formats. Results stay while a campaign uses the store;
+    modetune computes a removed result again when needed.
     """
     from modetune.flows.jobs.store_files import campaigns_running, prunable, remove
 
@@ -187,11 +186,11 @@ def store_prune(
 
 @store_app.command("forget")
 def store_forget(
-    key: Annotated[str, typer.Argument(help="Start of a job's key, or a job's folder.")],
+    key: Annotated[str, typer.Argument(help="First characters of a job's key, or a job's folder.")],
     store: StorePlace = None,
     as_json: AsJson = False,
 ) -> None:
-    """Remove one job's result and folders; it is computed again when it is needed."""
+    """Remove the result and folders of one job; modetune computes it again when needed."""
     from modetune.flows.jobs.lookup import key_start, one_key
     from modetune.flows.jobs.store_files import files_of, remove
 

@@ -14,10 +14,14 @@ from modetune.flows.studies.study import CampaignPath, Runs
 def view(
     campaign_file: CampaignPath,
     runs: Runs = Path("runs"),
-    port: Annotated[int, typer.Option(help="On this machine; 0: a free one.", max=65535)] = 0,
-    browser: Annotated[bool, typer.Option("--open", help="Open it in the browser too.")] = False,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; 0: any free port.", max=65535)
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--open", help="Also open the page in the browser.")
+    ] = False,
 ) -> None:
-    """Show the campaign in the browser: live, with pairs, poles and sensors to set by hand."""
+    """Show the campaign live in a browser, where you can set pairs, poles and sensors."""
     from modetune.flows.studies.view.server import serve_view
 
     def opened(address: str) -> None:

@@ -17,14 +17,17 @@ def worker(
     folder: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Campaigns and run folders must be below it; may be repeated; the current one by "
-            "default."
+            help="Folder that must contain campaigns and run folders; may be repeated; "
+            "default: the current one."
         ),
     ] = None,
     limit: Annotated[
-        int | None, typer.Option(min=1, help="Campaigns at the same time; any number by default.")
+        int | None,
+        typer.Option(
+            min=1, help="Maximum number of campaigns at the same time; default: no limit."
+        ),
     ] = None,
-    once: Annotated[bool, typer.Option("--once", help="Only what is due now, then end.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Run what is due now, then stop.")] = False,
     without_login: WithoutLogin = False,
 ) -> None:
     """Run deployed campaigns of a work pool on this machine, until Ctrl-C."""

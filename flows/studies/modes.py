@@ -16,10 +16,10 @@ from modetune.flows.studies.study import DeckOptions, StudyContext, study
 def modes(
     on: StudyContext,
     number: Annotated[
-        int | None, typer.Option(min=1, help="How many modes, rigid ones counted.")
+        int | None, typer.Option(min=1, help="Number of modes, including rigid-body modes.")
     ] = None,
 ) -> StudyResult:
-    """Compute the modes of a campaign's model or of a deck, at its values or those of --at."""
+    """Compute the modes of a campaign's model or of a deck, at its own values or those of --at."""
     from modetune.flows.campaign.units import KILOGRAMS
     from modetune.flows.updating.mode_source import model_modes
 

@@ -76,38 +76,38 @@ CampaignPath = Annotated[Path, Argument(help="Campaign file (YAML).")]
 ModelPath = Annotated[Path, Argument(help="Campaign file (YAML), or a deck.")]
 TestFiles = Annotated[
     tuple[Path, ...],
-    Argument(help="Test in place of the campaign's own; several files of one test with commas."),
+    Argument(
+        help="Test instead of the campaign's own; separate several files of one test by commas."
+    ),
     split_files,
 ]
 SolverChoice = Annotated[
     str | None,
     Option(
         "--solver",
-        help="Of a deck: calculix, nastran, mystran, matrices; else the first that is here and "
-        "takes it.",
+        help="Solver of a deck: calculix, nastran, mystran or matrices; default: the first "
+        "installed one that reads it.",
     ),
 ]
 UnitsChoice = Annotated[
     str | None,
     Option(
         "--units",
-        help="Of a deck: m-kg-s, mm-t-s, in-slinch-s, ft-slug-s; else guessed from its materials "
-        "and told.",
+        help="Units of a deck: m-kg-s, mm-t-s, in-slinch-s or ft-slug-s; default: inferred "
+        "from its materials, and reported.",
     ),
 ]
 Settings = Annotated[
     list[str] | None,
-    Option("--set", help="KEY.KEY=VALUE over the campaign file; may be repeated."),
+    Option("--set", help="KEY.KEY=VALUE, overrides the campaign file; may be repeated."),
 ]
 At = Annotated[
     list[str] | None,
     Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
 ]
-Runs = Annotated[Path, Option(help="Where run folders go.")]
+Runs = Annotated[Path, Option(help="Folder for run folders.")]
 Figures = Annotated[Path | None, Option(help="Folder for figures (PNG).")]
-Page = Annotated[
-    Path | None, Option(help="HTML page with its tables and charts, one file (.html).")
-]
+Page = Annotated[Path | None, Option(help="One HTML page with tables and charts (.html).")]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class UpdateOptions(CampaignOptions):
     """Options of an update."""
 
     starts: Annotated[
-        int | None, typer.Option(help="Update from so many starts; as `--set update.starts=N`.")
+        int | None, typer.Option(help="Number of starting points, as `--set update.starts=N`.")
     ] = None
     runs: Runs = Path("runs")
 

@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 MARKS = {"good": "", "doubtful": "yellow", "wrong": "bold red"}
 
 BaselineState = Annotated[
-    ModelState, typer.Option(help="Which model of the baseline: updated, or initial.")
+    ModelState, typer.Option(help="Model of the baseline: updated or initial.")
 ]
 FrequencyBand = Annotated[
-    float, typer.Option(min=0.0, help="How much larger a relative frequency error may be.")
+    float, typer.Option(min=0.0, help="Allowed increase of a relative frequency error.")
 ]
-MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="How much smaller a MAC may be.")]
+MacBand = Annotated[float, typer.Option(min=0.0, max=1.0, help="Allowed decrease of a MAC.")]
 
 
 @dataclass(frozen=True)
@@ -52,17 +52,20 @@ class CheckOptions(StudyOptions):
 
     campaign_file: ModelPath
     test: Annotated[
-        list[Path] | None, typer.Argument(help="Beside a deck: the files of its test.")
+        list[Path] | None, typer.Argument(help="With a deck: the files of its test.")
     ] = None
     solver: SolverChoice = None
     units: UnitsChoice = None
-    no_run: Annotated[bool, typer.Option("--no-run", help="Judge without a solver run.")] = False
+    no_run: Annotated[bool, typer.Option("--no-run", help="Check without a solver run.")] = False
     against: Annotated[
-        Path | None, typer.Option(help="A campaign.h5 whose errors the model must not exceed.")
+        Path | None,
+        typer.Option(help="Baseline: a campaign.h5 whose errors the model must not exceed."),
     ] = None
     record: Annotated[
         Path | None,
-        typer.Option(help="With --against: compare this campaign.h5's updated model, run nothing."),
+        typer.Option(
+            help="With --against: compare the updated model of this campaign.h5, and run no job."
+        ),
     ] = None
 
     def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
@@ -94,16 +97,16 @@ def check(
     frequency_band: FrequencyBand = 0.01,
     mac_band: MacBand = 0.05,
     summary: Annotated[
-        Path | None, typer.Option(help="Add what was found to this file, in Markdown.")
+        Path | None, typer.Option(help="Append the findings to this file, in Markdown.")
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option(help="Write what was found as a JUnit report (XML).")
+        Path | None, typer.Option(help="Write the findings as a JUnit report (XML).")
     ] = None,
 ) -> StudyResult:
-    """Judge campaign, test and model before updating, at the cost of what updating begins with.
+    """Check campaign, test and model before updating, with the jobs that updating runs first.
 
-    Without a campaign file: a deck alone, or with the files of its test. With --against the model
-    is solved at the deck's values and compared with a baseline.
+    Accepts a deck instead of a campaign file, alone or with the files of its test. With --against,
+    solves the model at the deck's values and compares it with a baseline.
     """
     if options.against is not None:
         from modetune.flows.updating.baseline import Band

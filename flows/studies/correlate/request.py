@@ -17,10 +17,8 @@ MassReduction = Literal["guyan", "serep"]
 class CorrelationRequest:
     """Which model of a record is compared, and how a mass matrix is reduced to its sensors."""
 
-    state: Annotated[ModelState, Option(help="Which model of a record: updated, or initial.")] = (
-        "updated"
-    )
+    state: Annotated[ModelState, Option(help="Model of a record: updated or initial.")] = "updated"
     orthogonality: Annotated[
         MassReduction | None,
-        Option(help="Cross-orthogonality, by a mass matrix that guyan or serep reduces."),
+        Option(help="Cross-orthogonality, with a mass matrix reduced by guyan or serep."),
     ] = None

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 #: Degrees of freedom that a terminal shows of the worst, and modes of a MAC matrix.
 WORST, SHOWN = 10, 14
 
-Out = Annotated[Path | None, typer.Option(help="CSV of the pairs; NAME_sensors.csv beside it.")]
+Out = Annotated[
+    Path | None, typer.Option(help="CSV file of the pairs; NAME_sensors.csv goes next to it.")
+]
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,15 @@ class CorrelateOptions(StudyOptions):
     first: Annotated[
         tuple[Path, ...],
         typer.Argument(
-            help="Campaign file, deck, campaign.h5 (or its folder), or test file; several files "
-            "of one test with commas."
+            help="Campaign file, deck, campaign.h5 (or its folder), or test file; separate "
+            "several files of one test by commas."
         ),
         split_files,
     ]
     second: Annotated[
         tuple[Path, ...],
         typer.Argument(
-            help="What it is compared with; a campaign's or record's own test if left out."
+            help="What to compare it with; default: the test of the campaign or record."
         ),
         split_files,
     ] = ()
@@ -63,7 +65,8 @@ class CorrelateOptions(StudyOptions):
         typer.Option(help="NAME=VALUE of a parameter of the first campaign; may be repeated."),
     ] = None
     second_at: Annotated[
-        list[str] | None, typer.Option(help="The same of the second campaign; may be repeated.")
+        list[str] | None,
+        typer.Option(help="NAME=VALUE of a parameter of the second campaign; may be repeated."),
     ] = None
     solver: SolverChoice = None
     units: UnitsChoice = None
@@ -98,8 +101,8 @@ def correlate(
 ) -> StudyResult:
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
 
-    A campaign alone is its model beside its test. Any two of campaigns, decks, records and tests
-    can be compared; a test stands first beside a model.
+    With one campaign, compares its model with its test. Otherwise compares any two of campaigns,
+    decks, records and tests; name a test before a model.
     """
     from modetune.flows.studies.correlate.figures import correlation_charts
     from modetune.flows.studies.correlate.sides import correlate_sources

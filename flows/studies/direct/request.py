@@ -25,12 +25,12 @@ class DirectRequest:
     ] = "berman"
     filling: Annotated[
         Filling,
-        Option(help="How unmeasured unknowns are filled: kidder, static, serep or model."),
+        Option(help="How to expand shapes to unmeasured unknowns: kidder, static, serep or model."),
     ] = "kidder"
     mass_normalised: Annotated[
         bool,
         Option(
             "--mass-normalised",
-            help="The test's shapes are of unit modal mass in the model's own unit.",
+            help="The test's shapes have unit modal mass in the model's units.",
         ),
     ] = False

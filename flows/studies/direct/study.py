@@ -22,10 +22,12 @@ def direct(
     on: StudyContext,
     request: DirectRequest,
     out: Annotated[
-        Path | None, typer.Option(help="Corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml.")
+        Path | None,
+        typer.Option(help="File for the corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml."),
     ] = None,
 ) -> StudyResult:
-    """Correct stiffness and mass as whole matrices, and tell what that breaks in them."""
+    """Correct stiffness and mass matrices directly, and report what the correction breaks in
+    them."""
     from modetune.adapters.matrices.export import check_form, write_matrices
     from modetune.flows.studies.direct.correction import CorrectedMode, correct_directly
 

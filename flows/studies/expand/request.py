@@ -17,10 +17,13 @@ class ExpansionRequest:
     method: Annotated[
         ExpansionMethod | None,
         Option(
-            help="serep, kidder, static, irs or spline; default: all, and the one of the least "
-            "error at held-out sensors is written."
+            help="serep, kidder, static, irs or spline; default: all, and --out writes the "
+            "one with the smallest error at held-out sensors."
         ),
     ] = None
     modes: Annotated[
-        int | None, Option(min=1, help="Elastic modes of SEREP's basis; chosen unless named.")
+        int | None,
+        Option(
+            min=1, help="Number of elastic modes in SEREP's basis; default: chosen automatically."
+        ),
     ] = None

@@ -30,13 +30,13 @@ def expand(
     on: StudyContext,
     request: ExpansionRequest,
     out: Annotated[
-        Path | None, typer.Option(help="Shapes at all nodes as a test file: .csv, .h5 or .unv.")
+        Path | None, typer.Option(help="Test file for the shapes at all nodes: .csv, .h5 or .unv.")
     ] = None,
     paraview: Annotated[
         Path | None, typer.Option(help="Folder for expanded.pvd, which ParaView opens.")
     ] = None,
 ) -> StudyResult:
-    """Fill measured shapes out to the whole mesh, with the error at sensors that were held out."""
+    """Expand measured shapes to the whole mesh, and compute the error at held-out sensors."""
     from modetune.flows.studies.expand.expansion import (
         check_files,
         error_chart,

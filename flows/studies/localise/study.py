@@ -42,16 +42,16 @@ def localise(
     on: StudyContext,
     record: Annotated[
         Path | None,
-        typer.Option(help="Run folder or campaign.h5 whose updated model is looked at."),
+        typer.Option(help="Run folder or campaign.h5 whose updated model to examine."),
     ] = None,
     configuration: Annotated[
-        str | None, typer.Option(help="Which one, of a campaign with several configurations.")
+        str | None, typer.Option(help="Configuration to examine, if the campaign has several.")
     ] = None,
 ) -> StudyResult:
-    """Say where the model is wrong: maps of the error, what each parameter can remove of it, and
+    """Locate modelling errors: maps of the error, the part that each parameter can remove, and
     whether any parameters can.
 
-    Looks at the start of the campaign, or with --record at the model that updating left.
+    Examines the initial model of the campaign, or with --record the updated one.
     """
     from modetune.flows.studies.localise.localisation import localise as find
     from modetune.flows.studies.localise.localisation import one_model

@@ -44,25 +44,34 @@ class PretestSettings:
         Option(help="Elastic modes, as 1-8 or 1,3,5-7; default: the first eight."),
         parse_modes,
     ] = ()
-    sensors: Annotated[int | None, Option(help="How many; default: twice as many as modes.")] = None
+    sensors: Annotated[
+        int | None, Option(help="Number of sensors; default: twice the number of modes.")
+    ] = None
     method: Annotated[
         PlacementMethod,
         Option(help="effective_independence, auto_mac, kinetic_energy or information."),
     ] = "effective_independence"
     candidates: Annotated[
         str,
-        Option(help="surface, all, or a file with a node number in front of each line."),
+        Option(
+            help="Candidate nodes: surface, all, or a file whose lines begin with a node number."
+        ),
         FILE_OR_WORDS,
     ] = "surface"
-    directions: Annotated[Directions, Option(help="xyz, or normal: out of the surface.")] = "xyz"
+    directions: Annotated[Directions, Option(help="Directions: xyz, or normal to the surface.")] = (
+        "xyz"
+    )
     triaxial: Annotated[
-        bool, Option("--triaxial", help="Three directions at a place are one sensor.")
+        bool, Option("--triaxial", help="Count three directions at a node as one sensor.")
     ] = False
     distance: Annotated[
         float | None,
-        Option(help="Least distance of sensors, the deck's length; default: 5 % of the structure."),
+        Option(
+            help="Minimum distance between sensors, in the deck's length unit; default: 5 % of "
+            "the structure."
+        ),
     ] = None
-    exciters: Annotated[int, Option(help="How many exciters.")] = 1
+    exciters: Annotated[int, Option(help="Number of exciters.")] = 1
     by_mass: Annotated[
         bool, Option("--mass", help="Weight shapes by the mass at each candidate.")
     ] = False

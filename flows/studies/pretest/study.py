@@ -44,9 +44,9 @@ def pretest(
     out: Annotated[
         Path | None, typer.Option(help="Write the sensors as points of a test (CSV).")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Write a PNG of all places.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Write a PNG of all positions.")] = None,
 ) -> StudyResult:
-    """Choose places for sensors and exciters from the model alone, before there is a test."""
+    """Choose sensor and exciter positions from the model alone, before the test."""
     from modetune.flows.studies.pretest.plan import check_out, run_pretest, write_sensor_file
 
     mesh = on.campaign.case.solver.deck.mesh()

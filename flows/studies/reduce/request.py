@@ -22,12 +22,14 @@ class ReductionRequest:
     masters: Annotated[
         str,
         Option(
-            help="Unknowns that are kept: 12.z,13,20-25.xyz, or a file with them; default: the "
-            "test's sensors."
+            help="Masters: 12.z,13,20-25.xyz, or a file with them; default: the test's sensors."
         ),
         FILE_OR_WORDS,
     ] = ""
     modes: Annotated[
         int | None,
-        Option(min=1, help="Modes that are compared, and that SEREP keeps or Craig-Bampton adds."),
+        Option(
+            min=1,
+            help="Number of modes to compare; SEREP keeps them, and Craig-Bampton adds as many.",
+        ),
     ] = None

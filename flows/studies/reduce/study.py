@@ -25,11 +25,12 @@ def reduce(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Matrices: .npz, .op4, .bdf (DMIG), or .yaml, a model that modetune takes."
+            help="File for the matrices: .npz, .op4, .bdf (DMIG), or .yaml, a model that "
+            "modetune reads."
         ),
     ] = None,
 ) -> StudyResult:
-    """Reduce a model to a few unknowns, its frequencies beside the full model's."""
+    """Reduce a model to a few unknowns, and compare its frequencies with the full model's."""
     from modetune.adapters.matrices.export import check_form, write_matrices
     from modetune.core.modes import dof_name
     from modetune.flows.studies.reduce.reduction import reduce_model

@@ -8,7 +8,8 @@ from typing import Annotated
 from typer import Option
 
 SetsOverRange = Annotated[
-    int | None, Option(help="Sets over the range; as many may follow near the posterior.")
+    int | None,
+    Option(help="Number of points over the range; up to as many may follow near the posterior."),
 ]
 SeedOfAll = Annotated[int, Option(help="Seed of all random numbers.")]
 #: More of anything than this is a slip of the hand.
@@ -24,12 +25,15 @@ class SamplingRequest:
     """
 
     points: SetsOverRange = None
-    walkers: Annotated[int | None, Option(help="Walkers of the sampler.")] = None
-    steps: Annotated[int, Option(help="Steps of a walker; more follow if needed.")] = 2000
+    walkers: Annotated[int | None, Option(help="Number of walkers of the sampler.")] = None
+    steps: Annotated[int, Option(help="Number of steps per walker; more follow if needed.")] = 2000
     seed: SeedOfAll = 1
     checks: Annotated[
         int | None,
-        Option(help="Sets of the posterior that are solved for: 8, 2 with a reduced model."),
+        Option(
+            help="Number of posterior points to verify by solving; default: 8, or 2 with a "
+            "reduced model."
+        ),
     ] = None
 
     def problems(self, n_parameters: int) -> list[str]:

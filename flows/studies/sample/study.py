@@ -13,16 +13,18 @@ from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 Record = Annotated[
     Path | None,
-    typer.Option(help="Run folder (or campaign.h5) of an update, from whose end it starts."),
+    typer.Option(
+        help="Run folder (or campaign.h5) of an update, from whose final values to start."
+    ),
 ]
 
 
 @study(RunOptions)
 def sample(on: StudyContext, request: SamplingRequest, record: Record = None) -> StudyResult:
-    """Sample the parameters' posterior: how sure they are, bounds, bends and second answers seen.
+    """Sample the posterior of the parameters, including bounds, nonlinearity and second solutions.
 
-    Leaves posterior.h5 in the campaign's run folder. The same sampling again starts no solver.
-    Ends with exit code 3 where the posterior cannot be relied on.
+    Writes posterior.h5 to the campaign's run folder. Repeating the same sampling runs no solver.
+    Exit code 3 if the posterior is not reliable.
     """
     from modetune.core.storage.campaign_record import read_record
     from modetune.flows.studies.sample.figures import posterior_figures

@@ -17,13 +17,16 @@ class ScatterRequest:
 
     of: Annotated[
         tuple[str, ...],
-        Option(help="A parameter that differs from test to test; others are the same in all."),
+        Option(
+            help="Parameter that differs from test to test; the others are the same in all tests."
+        ),
     ] = ()
     measurement_deviation: Annotated[
         float | None,
         Option(
-            help="Scatter of a frequency by the measurement alone, relative; else the tests tell "
-            "it where there are more frequencies than parameters, or it is taken as none."
+            help="Relative scatter of a frequency due to measurement alone; default: "
+            "estimated from the tests if there are more frequencies than parameters, "
+            "otherwise zero."
         ),
     ] = None
     points: SetsOverRange = None

@@ -10,10 +10,9 @@ from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 @study(RunOptions)
 def scatter(on: StudyContext, request: ScatterRequest, record: Record = None) -> StudyResult:
-    """What makes repeated tests differ: mean and covariance of the parameters behind them.
+    """Estimate mean and covariance of the parameters that make repeated tests differ.
 
-    Leaves scatter.h5 in the campaign's run folder. Ends with exit code 3 where the answer cannot be
-    relied on.
+    Writes scatter.h5 to the campaign's run folder. Exit code 3 if the estimate is not reliable.
     """
     from modetune.core.storage.campaign_record import read_record
     from modetune.flows.studies.scatter.estimate import scatter_campaign

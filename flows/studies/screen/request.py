@@ -18,10 +18,15 @@ class ScreeningRequest:
         "local"
     )
     points: Annotated[
-        int | None, Option(help="Points of the design at most; about ten a parameter.")
+        int | None,
+        Option(help="Maximum number of points of the design; default: about ten per parameter."),
     ] = None
-    seed: Annotated[int, Option(min=0, help="Of the design's random numbers.")] = 1
+    seed: Annotated[int, Option(min=0, help="Seed of the design's random numbers.")] = 1
     levels: Annotated[
-        int | None, Option(help="Of each parameter: morris (even, 4), factorial (2).")
+        int | None,
+        Option(
+            help="Number of levels per parameter; default: 4 for morris (must be even), 2 for "
+            "factorial."
+        ),
     ] = None
-    choose: Annotated[int | None, Option(min=1, help="How many parameters to propose.")] = None
+    choose: Annotated[int | None, Option(min=1, help="Number of parameters to propose.")] = None

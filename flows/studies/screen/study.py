@@ -12,7 +12,8 @@ from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.study import RunOptions, StudyContext, study
 
 Out = Annotated[
-    Path | None, typer.Option(help="Campaign file with the proposed parameters alone (YAML).")
+    Path | None,
+    typer.Option(help="Campaign file to write, with only the proposed parameters (YAML)."),
 ]
 
 
@@ -20,8 +21,8 @@ Out = Annotated[
 def screen(on: StudyContext, request: ScreeningRequest, out: Out = None) -> StudyResult:
     """Screen candidate parameters, and propose which of them to update, with a reason for each.
 
-    Leaves screening.h5 in the campaign's run folder, and with --json screening.json. The same
-    screening again starts no solver.
+    Writes screening.h5 to the campaign's run folder, and screening.json with --json. Repeating the
+    same screening runs no solver.
     """
     from modetune.flows.studies.screen.figures import screening_charts
     from modetune.flows.studies.screen.proposal import check_out, write_proposal

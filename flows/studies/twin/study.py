@@ -31,10 +31,11 @@ def twin(
     on: StudyContext,
     options: TwinOptions,
     solvers: Annotated[
-        str, typer.Option(help="Solvers to compare, with commas; the first is the reference.")
+        str,
+        typer.Option(help="Solvers to compare, separated by commas; the first is the reference."),
     ] = "nastran,calculix",
 ) -> StudyResult:
-    """Run the model's modal analysis on several solvers and show their modes side by side."""
+    """Run the model's modal analysis on several solvers and compare their modes."""
     from modetune.flows.studies.twin.solver_modes import run_twin, twin_parts, twin_summary
 
     found = run_twin(

@@ -22,10 +22,10 @@ def validate(
         bool, typer.Option("--leave-one-out", help="Update without each used mode in turn.")
     ] = False,
 ) -> StudyResult:
-    """Judge an update by what it was not made from, before and after.
+    """Validate an update: predict held-out data before and after it.
 
-    By what the campaign holds out, or with --leave-one-out by each used mode in turn. Nothing but
-    the store is written. Exit code 3 where something that was held out got worse.
+    Uses what the campaign holds out, or with --leave-one-out each used mode in turn. Writes only to
+    the store. Exit code 3 if updating made the prediction of anything held out worse.
     """
     from modetune.flows.report.mode_tables import held_out_lines, held_out_table
     from modetune.flows.studies.validate.validation import leave_one_out as by_each_mode
