@@ -1,4 +1,4 @@
-"""Campaign files with several configurations: each as a campaign file of its own.
+"""Campaign files with several configurations: a separate campaign file for each.
 
 A configuration has its own `model` and `test` and shares the other keys. Problems are reported with
 the line of the configuration's keys in the one campaign file.
@@ -27,8 +27,9 @@ OWN = ("model", "test")
 class ConfigurationFile:
     """The campaign file of one configuration alone.
 
-    source: with the lines of its own keys. columns: positions of its parameters among the free ones
-    of the campaign. place: of its keys in the campaign file.
+    source: the file, with the lines of the configuration's keys. columns: positions of its
+    parameters among the free ones of the campaign. place: location of its keys in the campaign
+    file.
     """
 
     section: ConfigurationSection

@@ -1,4 +1,4 @@
-"""Which node of the model each sensor of a test is read at, and along which direction.
+"""Assignment of each sensor of a test to a node and a direction of the model.
 
 Three steps, each of which can refuse: the test's points are brought into the model's axes and
 length (`alignment`), each sensor takes the nearest node within a tolerance, and its direction is

@@ -1,8 +1,8 @@
-"""Parameters of a campaign: what of the model may change, and how far.
+"""Parameters of a campaign: the quantities of the model that may change, and their bounds.
 
-A parameter that has a field becomes a parameter for each element or zone: the deck knows which
-elements the parameter scales, and its mesh which of them are neighbours. What zones share with
-others, a material or a section, is copied for them as for any elements that parameters name.
+A parameter with a field becomes one parameter per element or zone: the deck gives the elements that
+the parameter scales, and its mesh gives their neighbours. Zones get their own copy of a material or
+section that they share with others, as do any elements that parameters name.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The campaign file's keys: what each means, its unit, its default.
+"""Keys of the campaign file: meaning, unit and default of each.
 
-Field names are the campaign's keys; unknown keys are refused. `campaign.py` turns a valid file
-into a Campaign. `campaign_schema` gives the keys as a JSON schema, for editors and other programs:
-what pydantic derives, and the rules that only validators here know (which keys exclude each other,
-which targets belong to which quantity). An editor that reads it (VS Code through the first line of
-a campaign, `# yaml-language-server: $schema=campaign.schema.json`) completes keys and shows
-mistakes while the user types.
+Field names are the campaign's keys; unknown keys are refused. `campaign.py` turns a valid file into
+a Campaign. `campaign_schema` gives the keys as a JSON schema, for editors and other programs:
+pydantic's schema, and the rules of the validators here (keys that exclude each other, targets of
+each quantity). An editor that reads it (VS Code through the first line of a campaign, `#
+yaml-language-server: $schema=campaign.schema.json`) completes keys and marks mistakes while the
+user types.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class CommandSection(Section):
         return self
 
     def settings(self, metres: float) -> CommandSettings:
-        """Return the program in the adapter's form; metres: of the deck's unit of length."""
+        """Return the program in the adapter's form; metres: the deck's length unit in metres."""
         given = dict(self)
         given |= {key: given[key] or "" for key in ("results", "reader")}
         given["most_modes"] = self.most_modes or 0
@@ -500,8 +500,8 @@ class CampaignFile(Section):
 
     @model_validator(mode="after")
     def _regularised(self) -> CampaignFile:
-        """Set defaults for fields, which are hundreds of values: steps from one start are pulled to
-        the initial values."""
+        """Set defaults for fields, which have hundreds of values: one starting point, and steps
+        that are pulled to the initial values."""
         if not any(item.field for item in self.parameters):
             return self
         given = self.update.model_fields_set
@@ -532,7 +532,7 @@ class OpenFile(CampaignFile):
 
 
 class ModelFile(OpenFile):
-    """The same before there is a test: its test is never read."""
+    """A campaign file before the test: its `test` is never read."""
 
     @model_validator(mode="before")
     @classmethod
@@ -623,7 +623,7 @@ def _one_of(keys: tuple[str, ...]) -> list[dict[str, Any]]:
 def override(file: YamlFile, settings: list[str]) -> dict[str, object]:
     """Return the file's data with `key.key=value` settings applied, values read as YAML.
 
-    Raises CampaignError where a setting has another form or leads through a value.
+    Raises CampaignError if a setting has another form, or its path leads through a value.
     """
     data = yaml.safe_load(file.text)
     for setting in settings:

@@ -1,9 +1,9 @@
-"""Which solver runs a campaign's model: the one place that names the adapters.
+"""Selection of the solver for a campaign's model: the only module that names the adapters.
 
-An adapter is imported when a campaign needs it. `calculix` takes CalculiX decks as they are and
-Nastran decks through their translation. Other packages bring solvers by an entry point of the group
-`modetune.solvers`: its name is what campaigns call the solver, its object a function of a deck's
-path and the parameters that gives a Solver.
+An adapter is imported when a campaign needs it. `calculix` takes CalculiX decks unchanged and
+Nastran decks by translation. Other packages add solvers through an entry point of the group
+`modetune.solvers`: its name is the solver's name in campaigns, and its object is a function that
+returns a Solver for a deck's path and the parameters.
 
 Some capabilities are used only after the self-test of the installation (`modetune doctor`) has
 passed them. An installation is a program's name, version and command line; a new version, another

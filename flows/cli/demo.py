@@ -1,4 +1,4 @@
-"""`modetune demo`: a case of configs/ from its files to what is said of it.
+"""`modetune demo`: a case of configs/, from its files to its findings.
 
 Heavy packages are imported where they are needed.
 """
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CaseVerdict:
-    """What is said of a case and whether it holds, with tables beside its source, and figures."""
+    """Findings of a case and whether they hold, with tables that compare it with its source, and
+    figures."""
 
     claims: list[Claim]
     tables: list[Beside]
@@ -109,7 +110,7 @@ def _judge_fixture(run: CampaignRun, folder: Path) -> CaseVerdict:
 
 
 def _judge_six_mass(run: CampaignRun, folder: Path) -> CaseVerdict:
-    """The campaign beside the direct methods, which run here."""
+    """Compare the campaign with the direct methods, which run here."""
     from modetune.configs.six_mass import methods
 
     direct = methods.direct_outcomes()

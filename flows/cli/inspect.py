@@ -81,7 +81,7 @@ def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMode:
-    """A mode of a test; NaN is what the test does not tell."""
+    """A mode of a test; NaN where the test gives no value."""
 
     number: Annotated[int, Column("mode")]
     frequency_hz: Annotated[float, Column("frequency", "Hz", ".6g")]
@@ -151,7 +151,7 @@ def _unit(metres: float) -> str:
 
 
 def _lines(told: dict[str, Any]) -> list[str]:
-    """What is told, for people."""
+    """The contents as text for people."""
     lines = []
     for file in told["files"]:
         datasets = ", ".join(

@@ -38,7 +38,7 @@ StorePlace = Annotated[
 
 
 def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
-    """The store that was named, by its folder or by a campaign. Raises CampaignError."""
+    """Return the store given by its folder or by a campaign. Raises CampaignError."""
     from modetune.core.storage.store import Store
 
     place = given or Path(os.environ.get("MODETUNE_STORE") or ".modetune/store")

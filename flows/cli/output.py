@@ -1,4 +1,4 @@
-"""What a command prints: a JSON object for machines, or tables and sentences for people."""
+"""Output of a command: a JSON object for machines, or tables and sentences for people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that draws what a campaign left: a page, and pictures for print."""
+"""`modetune report`: the page of a campaign, and its figures as pictures for print."""
 
 from __future__ import annotations
 

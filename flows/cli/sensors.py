@@ -1,4 +1,4 @@
-"""`modetune sensors`: where the test's sensors are read in the model.
+"""`modetune sensors`: the model's node and direction for each sensor of the test.
 
 Heavy packages are imported where they are needed.
 """
@@ -77,7 +77,7 @@ def shown_sensors(mapping: Mapping) -> tuple[SensorRow, ...]:
 
 
 def sensor_lines(mapping: Mapping) -> list[str]:
-    """What is said below the table: counts, the alignment, what is doubtful."""
+    """Lines below the table: counts, the alignment, and doubts."""
     counts = [len(mapping.table), len(mapping.doubtful), len(mapping.left_out)]
     more = f"shown are {SHOWN} sensors, those in doubt first; --json tells all"
     return [
@@ -94,7 +94,7 @@ def sensor_lines(mapping: Mapping) -> list[str]:
 
 
 def alignment_line(mapping: Mapping) -> str:
-    """How the test lies over the model, in a line."""
+    """The alignment of test and model, in one line."""
     found = mapping.alignment
     if found is None:
         return "sensors are the model's nodes of the same number"

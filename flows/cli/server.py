@@ -1,4 +1,4 @@
-"""`modetune server`: the Prefect server that commands share, and what they have of it."""
+"""`modetune server`: the Prefect server that commands share."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def server_stop() -> None:
 
 @contextmanager
 def serving() -> Iterator[SharedServer]:
-    """A server that answers, in use while this lasts, with Prefect as its client.
+    """Yield a running server, with Prefect as its client; it counts as in use until the block ends.
 
     Raises ModetuneError.
     """

@@ -1,4 +1,4 @@
-"""`modetune store`: what a store holds, whether it is whole, and what can go.
+"""`modetune store`: list, check and prune the store of results.
 
 Heavy packages are imported where they are needed.
 """
@@ -39,7 +39,7 @@ Larger = Annotated[str | None, typer.Option(help="At least this large: 500kB, 10
 
 
 class By(StrEnum):
-    """What a list is sorted by."""
+    """Sort order of a list."""
 
     newest = "newest"
     oldest = "oldest"
@@ -48,7 +48,7 @@ class By(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EntryRow:
-    """A result in a list. solver, kind and model are empty where its head cannot be read."""
+    """A result in a list. solver, kind and model are empty if its head cannot be read."""
 
     key: Annotated[str, Column("key")]
     age: Annotated[str, Column("written ago")]
@@ -61,7 +61,7 @@ class EntryRow:
 
 @dataclass(frozen=True, slots=True)
 class SumRow:
-    """What a store holds of one kind."""
+    """The results of one kind in a store."""
 
     what: Annotated[str, Column("what")]
     solver: Annotated[str, Column("solver")]

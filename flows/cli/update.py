@@ -1,4 +1,4 @@
-"""`modetune update --dry-run`: what an update would run."""
+"""`modetune update --dry-run`: the jobs that an update would run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 
 def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
-    """Print what an update with these parameters would run. Raises CampaignError, StoreError."""
+    """Print the jobs that an update with these parameters would run. Raises CampaignError,
+    StoreError."""
     from modetune.flows.updating.dry_run import dry_run
     from modetune.flows.updating.forecast import Unwatched
 

@@ -1,4 +1,4 @@
-"""`modetune view`: a campaign in the browser, live, and what is set there by hand."""
+"""`modetune view`: a live view of a campaign in the browser, with settings made there by hand."""
 
 from __future__ import annotations
 

@@ -1,1 +1,2 @@
-"""Responses that a campaign compares, one type a file: its keys and its requests to the solver."""
+"""Responses that a campaign compares, one type per file: its keys and its requests to the
+solver."""

@@ -63,7 +63,7 @@ def response_types() -> dict[str, type[ResponseSection]]:
 
 
 def with_types(section: type[Keys]) -> type[Keys]:
-    """Return a section with a key for each response type behind its own."""
+    """Return a section with a key for each response type after its own keys."""
     keys: dict[str, Any] = {
         key: (found | None, Field(default=None, description=cleandoc(found.__doc__ or "")))
         for key, found in response_types().items()
@@ -145,7 +145,7 @@ class ResidualSection(Section):
         return found
 
     def warnings(self, source: YamlFile, given: TestedModel) -> list[str]:
-        """Return what of the test is not compared, each with file and line."""
+        """Return the parts of the test that are not compared, each with file and line."""
         return [
             f"{source.where(('residuals', kind))}: {said}"
             for kind, section in self.kinds.items()

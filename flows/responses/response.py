@@ -1,4 +1,4 @@
-"""The seam of response types: what the file of a type gives, and the test and model it gets.
+"""Interface of response types: what the file of a type defines, and the test and model it receives.
 
 A type's section has its campaign keys. From the test and the model it makes the Response of
 `core/updating/responses`, and it requests what the solver must deliver: shapes at further nodes,
@@ -91,7 +91,7 @@ class ResponseSection(Section):
         return ()
 
     def warnings(self, given: TestedModel) -> Iterable[str]:
-        """Return what of the test is not compared, and why."""
+        """Return the parts of the test that are not compared, and why."""
         return ()
 
     def nodes(self, deck: Deck) -> Iterable[int]:

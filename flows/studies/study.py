@@ -188,7 +188,7 @@ class CampaignOptions(StudyOptions):
 
 @dataclass(frozen=True)
 class RunOptions(CampaignOptions):
-    """Options of studies that leave a record in the campaign's run folder."""
+    """Options of studies that write a record to the campaign's run folder."""
 
     figures: Figures = None
     page: Page = None
@@ -222,7 +222,7 @@ class DeckOptions(StudyOptions):
 
     @property
     def test_files(self) -> tuple[Path, ...]:
-        """Files of a test in place of the campaign's own."""
+        """Files of a test instead of the campaign's own."""
         return ()
 
 
@@ -267,7 +267,7 @@ class StudyParameter:
 
     @property
     def is_argument(self) -> bool:
-        """Whether the command line takes it by its place."""
+        """Whether it is a positional argument on the command line."""
         return isinstance(self.info, ArgumentInfo)
 
     @property
@@ -276,7 +276,7 @@ class StudyParameter:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The values to choose from; none where any value of the type will do."""
+        """The choices; none if any value of the type is valid."""
         literals = (one for one in _members(self.kind) if get_origin(one) is Literal)
         return next(map(get_args, literals), ())
 
@@ -289,7 +289,7 @@ class StudyParameter:
 
     @cached_property
     def signature(self) -> inspect.Parameter:
-        """As Prefect and pydantic read it: with its type in JSON, its help and its bounds."""
+        """The parameter for Prefect and pydantic: its type in JSON, its help and its bounds."""
         from pydantic import Field
 
         bounds: dict[str, Any] = {"ge": self.info.min, "le": self.info.max}
@@ -312,7 +312,7 @@ class StudyParameter:
         return _plain(value)
 
     def problem(self, value: Any) -> str:
-        """Why a value is refused, in a sentence; empty where it is not."""
+        """Return why a value is refused, in a sentence; empty if it is valid."""
         from pydantic import TypeAdapter, ValidationError
 
         try:
@@ -341,7 +341,7 @@ class StudyParameter:
 
     @property
     def option(self) -> str:
-        """Its option on the command line; typer keeps a name of its own as the first default."""
+        """Its option on the command line; typer keeps an explicit name as the first default."""
         names = (self.info.default, *(self.info.param_decls or ()))
         named = (name for name in names if isinstance(name, str) and name.startswith("--"))
         return next(named, f"--{self.name.replace('_', '-')}")
@@ -431,7 +431,7 @@ class Study:
 
     @property
     def help(self) -> str:
-        """What it does, in paragraphs."""
+        """The description of the study, in paragraphs."""
         return inspect.cleandoc(self.function.__doc__ or "")
 
     @cached_property
@@ -511,7 +511,7 @@ class Study:
         return self._opening(parameters).solves
 
     def beginning(self, parameters: Mapping[str, Any]) -> str:
-        """What is done first, for people: the files that are read. Imports nothing heavy."""
+        """First progress message: the files to read. Imports nothing heavy."""
         checked = self.checked(parameters)
         arguments = [checked[item.name] for item in self.fields if item.is_argument]
         files = (file for one in arguments for file in (one if isinstance(one, list) else [one]))

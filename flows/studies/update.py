@@ -1,4 +1,4 @@
-"""`modetune update`: a campaign's model updated until it agrees with its test."""
+"""`modetune update`: update a campaign's model until it agrees with its test."""
 
 from __future__ import annotations
 

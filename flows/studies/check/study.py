@@ -124,7 +124,7 @@ def check(
 
 
 def _judged(campaign: Campaign, report: PreCheckReport) -> StudyResult:
-    """The end of a pre-check."""
+    """The outcome of a pre-check."""
     wrong = [_finding(item) for item in report.findings if item.level == "wrong"]
     return StudyResult(
         report,
@@ -198,7 +198,7 @@ def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
 
 
 def _sizes(campaign: Campaign) -> list[str]:
-    """What of test and parameters there is."""
+    """The test and the parameters, as far as the campaign has them."""
     test, n = campaign.test, len(campaign.parameters)
     tested = f"{len(test.numbers)} test modes at {test.modes.n_dof} sensors"
     return [tested if test.numbers else "no test", f"{n} parameters" if n else "no parameters"]
@@ -269,7 +269,7 @@ def _compared(
 
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
-    """What the pre-check found, for CI: only what is wrong fails."""
+    """The findings of the pre-check, for CI: only errors fail."""
     from modetune.flows.report.ci_files import CheckOutcome, Judged
     from modetune.flows.studies.check.pairing import ModePreview
 

@@ -1,4 +1,4 @@
-"""`modetune correlate`: two tests, two models, or one of each, side by side."""
+"""`modetune correlate`: a comparison of two tests, two models, or a test and a model."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class CorrelateOptions(StudyOptions):
 
     @property
     def sources(self) -> list[SideSource]:
-        """What is compared, one or two. Raises CampaignError."""
+        """The one or two sides to compare. Raises CampaignError."""
         from modetune.flows.studies.correlate.sides import source
 
         sides = (self.first, self.at), (self.second, self.second_at)

@@ -1,4 +1,4 @@
-"""`modetune direct`: whole matrices corrected from measured modes, and what that breaks."""
+"""`modetune direct`: matrices corrected directly from measured modes, and what that breaks."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ def expand(
 
 @dataclass(frozen=True, slots=True)
 class ExpandedRow:
-    """A method: its error at held-out sensors of all modes and of each, and what it changes."""
+    """A method: its error at held-out sensors for all modes and for each, and its change of
+    measured values."""
 
     method: Annotated[str, Column("method")]
     error: Annotated[float, Column("at held-out sensors", "%", ".2f")]

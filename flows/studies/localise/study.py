@@ -1,4 +1,4 @@
-"""`modetune localise`: where a model is wrong, and whether its parameters can correct it."""
+"""`modetune localise`: locations of modelling errors, and whether parameters can correct them."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def summary(found: Localisation) -> dict[str, Json]:
 
 @dataclass(frozen=True, slots=True)
 class RemovalRow:
-    """What parameters together can remove of the weighted residual; 1 is all."""
+    """Share of the weighted residual that parameters together can remove; 1 is all."""
 
     parameters: Annotated[tuple[str, ...], Column("parameters", words=True)]
     changes: Annotated[tuple[float, ...], Column("by a change of", "%", "+.1f")]
@@ -101,7 +101,7 @@ class RemovalRow:
 
 @dataclass(frozen=True, slots=True)
 class GroupRow:
-    """Where the model is wrong, by a group of elements; docs/localisation.md explains each."""
+    """Modelling error of a group of elements; docs/localisation.md explains each value."""
 
     name: Annotated[str, Column("group")]
     force_share: Annotated[float, Column("force residual explained", "%", ".1f")]
@@ -162,13 +162,13 @@ def _maps_json(maps: ErrorMaps) -> dict[str, Json]:
 
 
 def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
-    """The nodes with the largest values, these first."""
+    """The nodes with the largest values, in descending order."""
     order = sorted(range(len(nodes)), key=lambda place: -values[place])[:NODES]
     return [{"node": nodes[place], "value": values[place]} for place in order]
 
 
 def tables(found: Localisation) -> list[Table]:
-    """Groups where there are maps, and what parameters can remove, the foremost of each."""
+    """Groups, if there are maps, and the residual that parameters can remove; the first of each."""
     removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
     shown = [table_of("What parameters can remove of the residual", removals, RemovalRow)]
     if found.maps is not None:

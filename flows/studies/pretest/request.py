@@ -33,7 +33,7 @@ def parse_modes(text: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class PretestSettings:
-    """The modes that a test must separate, and where its sensors and exciters may go.
+    """The modes that a test must separate, and the candidate positions of sensors and exciters.
 
     modes: numbers of elastic modes, from 1; distance: between sensors at different nodes; by_mass:
     whether shapes are weighted by the root of the mass at each candidate.

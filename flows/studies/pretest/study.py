@@ -1,4 +1,4 @@
-"""`modetune pretest`: where sensors and exciters go, from the model alone.
+"""`modetune pretest`: sensor and exciter positions, from the model alone.
 
 Heavy packages are imported where they are needed.
 """

@@ -1,4 +1,4 @@
-"""`modetune scatter`: the scatter of parameters behind that of repeated tests."""
+"""`modetune scatter`: the parameter scatter that explains the scatter of repeated tests."""
 
 from __future__ import annotations
 

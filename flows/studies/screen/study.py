@@ -1,4 +1,4 @@
-"""`modetune screen`: which of many candidate parameters to update."""
+"""`modetune screen`: the choice of parameters among many candidates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`modetune validate`: does the model hold on what it was not updated with?"""
+"""`modetune validate`: predictions of the updated model for held-out data."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def summary(found: Validation, leave_one_out: bool) -> dict[str, Json]:
 
 
 def _parameters(found: Validation) -> list[Table]:
-    """Their values over several updates."""
+    """Values of the parameters over several updates."""
     if len(found.folds) < 2:
         return []
     columns = [Column("without", words=True)]
