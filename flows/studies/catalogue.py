@@ -9,7 +9,7 @@ from modetune.flows.studies.study import Study
 
 #: Headings of `modetune --help` that have studies.
 TEST, BEFORE, UPDATING = "The test", "Model and test, before updating", "Updating"
-MATRICES, TRUST, HERE = "Whole matrices", "How far to trust it", "This installation"
+MATRICES, TRUST, HERE = "Whole matrices", "Trust in the result", "This installation"
 #: Each study in the order of a campaign's life: the module below `flows/studies` that defines it,
 #: and its heading. To remove a study, delete its folder or file and its line here.
 STUDIES = {

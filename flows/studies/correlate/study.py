@@ -102,7 +102,7 @@ def correlate(
     """Compare modes: pairs, frequencies, MAC, COMAC, scale factors, and the worst sensors.
 
     With one campaign, compares its model with its test. Otherwise compares any two of campaigns,
-    decks, records and tests; name a test before a model.
+    decks, records and tests; a test compared with a model always comes first.
     """
     from modetune.flows.studies.correlate.figures import correlation_charts
     from modetune.flows.studies.correlate.sides import correlate_sources
