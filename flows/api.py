@@ -1,15 +1,14 @@
-"""The verbs of the command line for Python: the same names, the same work, results to look at.
+"""The commands as Python functions: the same names and work, with results as objects.
 
 Each takes a campaign, or the path of its file, and returns a result with frames (pandas), figures
-(matplotlib) and a repr of a few lines. `modetune` gives all of them: `import modetune; run =
+(matplotlib) and a repr of a few lines. `modetune` exports all of them: `import modetune; run =
 modetune.update("campaign.yaml")`.
 
-The verbs that run a study have these arguments in common. settings: KEY.KEY: VALUE over the
-campaign file. progress: print what is being computed on standard error. prefect: start a Prefect
-server where none runs; without it a server is used that is configured or running, none with
-MODETUNE_NO_PREFECT=1. runs: where run folders go. figures: a folder for figures; page: an HTML
-file. solver, units: of a deck. All raise CampaignError, ModelError, SolverError, ModesError and
-StoreError.
+Functions that run a study share these arguments. settings: KEY.KEY: VALUE, overrides the campaign
+file. progress: print progress on standard error. prefect: start a Prefect server if none runs;
+without it a configured or running server is used, and none with MODETUNE_NO_PREFECT=1. runs: folder
+for run folders. figures: folder for figures; page: HTML file. solver, units: those of a deck. All
+raise CampaignError, ModelError, SolverError, ModesError and StoreError.
 """
 
 from __future__ import annotations
@@ -75,12 +74,12 @@ At = Mapping[str, float] | None
 def load(
     campaign: StrPath | Mapping[str, Any], settings: Settings = (), folder: StrPath | None = None
 ) -> Campaign:
-    """A campaign from its file, or from Python objects with the same keys.
+    """Load a campaign from its file, or from Python objects with the same keys.
 
-    In a mapping arrays may stand for the files of model and test: `model` with stiffness, mass
+    A mapping may have arrays instead of the files of model and test: `model` with stiffness, mass
     (n, n), parts and dofs, `test` with frequencies_hz (n_modes,), mode_shapes (n_sensors, n_modes)
-    and dofs. It is written as a campaign file into a folder, `.modetune/campaigns/NAME` unless
-    named. settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
+    and dofs. It is written as a campaign file to a folder, `.modetune/campaigns/NAME` by default.
+    settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
     """
     return load_campaign(_campaign_path(campaign, folder), _texts(settings))
 
@@ -96,7 +95,7 @@ def update(
 ) -> CampaignRun:
     """Update a campaign's model until it agrees with its test, from all its `update.starts`.
 
-    Leaves record, updated deck and report in `runs/NAME`. starts: in place of `update.starts`.
+    Writes record, updated deck and report to `runs/NAME`. starts: overrides `update.starts`.
     """
     found: CampaignRun = _found("update", locals())
     return found
@@ -112,10 +111,10 @@ def init(
     force: bool = False,
     settings: Settings = (),
 ) -> Draft:
-    """Write a campaign file for a deck: its test, and what could be updated, with reasons.
+    """Draft a campaign file for a deck: test, sensors and candidate parameters, with reasons.
 
-    test: its files; out: the file, `campaign.yaml` beside the deck unless named; an existing file
-    stays unless force. Raises CampaignError, ModelError.
+    test: files of its test. out: file to write, by default `campaign.yaml` next to the deck. force:
+    overwrite an existing file. Raises CampaignError, ModelError.
     """
     place = None if out is None else Path(out)
     changed = with_model(_texts(settings), solver, units)
@@ -133,10 +132,10 @@ def modes(
     progress: bool = False,
     prefect: bool = False,
 ) -> ModalResult:
-    """The modes of a campaign's model or of a deck, rigid ones included, at the sensors and the
-    nodes that are shown.
+    """Compute the modes of a campaign's model or of a deck, including rigid-body modes, at the
+    sensors and the nodes of figures.
 
-    number: how many modes.
+    number: number of modes.
     """
     found: ModalResult = _found("modes", locals())
     return found
@@ -202,12 +201,13 @@ def check(
     progress: bool = False,
     prefect: bool = False,
 ) -> PreCheckReport | BaselineCheck:
-    """Judge campaign, test and model before updating, or a deck, alone or with a test's files.
+    """Check campaign, test and model before updating, or a deck, alone or with the files of its
+    test.
 
-    run: whether to run the model's modes. against: an earlier update, with whose modes the model
-    is compared instead; record: another update that takes the model's place; state: which model
-    of the earlier update; frequency_band, mac_band: how much larger a relative frequency error and
-    how much smaller a MAC may be. summary, junit: files for CI, in Markdown and XML.
+    run: whether to compute the model's modes. against: an earlier update, the baseline with which
+    the model is compared instead. record: another update, to compare instead of the model. state:
+    model of the baseline. frequency_band, mac_band: allowed increase of a relative frequency error,
+    and allowed decrease of a MAC. summary, junit: files for CI, in Markdown and XML.
     """
     given = locals()
     given["no_run"] = not given.pop("run")
@@ -231,10 +231,11 @@ def screen(
     progress: bool = False,
     prefect: bool = False,
 ) -> Screening:
-    """Which parameters the test determines, and which to update; leaves `screening.h5`.
+    """Screen candidate parameters and propose which to update; writes `screening.h5`.
 
-    points: evaluation points at most; choose: how many parameters are proposed; levels: of each
-    parameter, for morris and factorial; out: a campaign file with the proposed parameters alone.
+    points: maximum number of points of the design. choose: number of parameters to propose. levels:
+    number of levels per parameter, for morris and factorial. out: campaign file with only the
+    proposed parameters.
     """
     found: Screening = _found("screen", locals())
     return found
@@ -256,11 +257,11 @@ def sample(
     progress: bool = False,
     prefect: bool = False,
 ) -> PosteriorRecord:
-    """The posterior of a campaign's parameters; leaves `posterior.h5`.
+    """Sample the posterior of a campaign's parameters; writes `posterior.h5`.
 
-    record: an update that it starts from; points: solver runs over the range; walkers, steps: of
-    the sampler; checks: samples that are solved for. Raises CampaignError where the surrogate stays
-    too poor.
+    record: update from whose final values to start. points: number of solver runs over the range.
+    walkers, steps: of the sampler. checks: number of posterior points to verify by solving. Raises
+    CampaignError if the surrogate remains too inaccurate.
     """
     found: PosteriorRecord = _found("sample", locals())
     return found
@@ -281,12 +282,11 @@ def scatter(
     progress: bool = False,
     prefect: bool = False,
 ) -> ScatterRecord:
-    """The scatter of a campaign's parameters behind that of its repeated tests; leaves
-    `scatter.h5`.
+    """Estimate the scatter of a campaign's parameters from repeated tests; writes `scatter.h5`.
 
-    of: names of those that differ from test to test, all where none is named;
-    measurement_deviation: of a frequency by the measurement alone, relative; record: an update that
-    it starts from.
+    of: names of the parameters that differ from test to test, by default all.
+    measurement_deviation: relative scatter of a frequency due to measurement alone. record: update
+    from whose final values to start.
     """
     found: ScatterRecord = _found("scatter", locals())
     return found
@@ -302,7 +302,7 @@ def validate(
 ) -> Validation:
     """Validate an update: predict held-out data before and after it.
 
-    By what the campaign holds out, or by each used mode in turn.
+    Uses what the campaign holds out, or each used mode in turn.
     """
     found: Validation = _found("validate", locals())
     return found
@@ -318,9 +318,9 @@ def localise(
     progress: bool = False,
     prefect: bool = False,
 ) -> Localisation:
-    """Where the model is wrong, at the campaign's start or where an update left it.
+    """Locate modelling errors of the initial model, or of the updated one of a record.
 
-    configuration: which one, where the campaign has several.
+    configuration: name of the one to examine, if the campaign has several.
     """
     found: Localisation = _found("localise", locals())
     return found
@@ -344,12 +344,12 @@ def pretest(
     progress: bool = False,
     prefect: bool = False,
 ) -> Pretest:
-    """Places for sensors and exciters from the model alone.
+    """Choose sensor and exciter positions from the model alone.
 
-    modes: numbers of elastic modes, from 1; sensors: how many; candidates: surface, all, or a file
-    of nodes; triaxial: three directions at a place are one sensor; distance: between sensors, the
-    deck's length; by_mass: weight shapes by the mass at each candidate; out: the sensors as points
-    of a test (CSV); picture: a PNG.
+    modes: numbers of elastic modes, from 1. sensors: number of sensors. candidates: surface, all,
+    or a file of nodes. triaxial: count three directions at a node as one sensor. distance: minimum
+    between sensors, in the deck's length unit. by_mass: weight shapes by the mass at each
+    candidate. out: CSV file of the sensors as points of a test. picture: PNG file.
     """
     found: Pretest = _found("pretest", locals())
     return found
@@ -371,9 +371,9 @@ def correlate(
     progress: bool = False,
     prefect: bool = False,
 ) -> Correlation:
-    """Pairs, MAC and COMAC of two campaigns, decks, records or tests; of one, beside its own test.
+    """Compare two campaigns, decks, records or tests, or one with its own test: pairs, MAC, COMAC.
 
-    state: which model of a record; at, second_at: parameters of the campaigns; out: a CSV file.
+    state: model of a record. at, second_at: parameter values of the campaigns. out: CSV file.
     """
     found: Correlation = _found("correlate", locals())
     return found
@@ -396,10 +396,10 @@ def expand(
     progress: bool = False,
     prefect: bool = False,
 ) -> Expansions:
-    """The test's shapes at all nodes of a campaign's model or a deck, by all methods or one.
+    """Expand the test's shapes to all nodes of a campaign's model or a deck, by all methods or one.
 
-    modes: elastic modes of SEREP's basis, chosen by held-out sensors unless named; out: a test
-    file; paraview: a folder.
+    modes: number of elastic modes in SEREP's basis, by default chosen with held-out sensors. out:
+    test file. paraview: folder.
     """
     found: Expansions = _found("expand", locals())
     return found
@@ -421,9 +421,9 @@ def reduce(
     progress: bool = False,
     prefect: bool = False,
 ) -> ModelReduction:
-    """A model condensed to masters ("12.z", "13", or a file of them), or to its test's sensors.
+    """Reduce a model to masters ("12.z", "13", or a file of them), by default its test's sensors.
 
-    modes: how many are compared, kept by SEREP or added by Craig and Bampton; out: a file of
+    modes: number of modes to compare, which SEREP keeps or Craig-Bampton adds. out: file for the
     matrices.
     """
     found: ModelReduction = _found("reduce", locals())
@@ -446,10 +446,10 @@ def direct(
     progress: bool = False,
     prefect: bool = False,
 ) -> DirectCorrection:
-    """A model's stiffness and mass corrected as whole matrices, and what that breaks in them.
+    """Correct a model's stiffness and mass matrices directly, and report what that breaks in them.
 
-    mass_normalised: whether the test's shapes are of unit modal mass in the model's own unit; out:
-    a file of matrices.
+    mass_normalised: whether the test's shapes have unit modal mass in the model's units. out: file
+    for the matrices.
     """
     found: DirectCorrection = _found("direct", locals())
     return found
@@ -464,9 +464,10 @@ def twin(
     progress: bool = False,
     prefect: bool = False,
 ) -> Twin:
-    """The modes of one model by several solvers, compared with those of the first.
+    """Compute the modes of one model with several solvers, and compare them with those of the
+    first.
 
-    solvers: their names with commas.
+    solvers: their names, separated by commas.
     """
     found: Twin = _found("twin", locals())
     return found
@@ -485,11 +486,11 @@ def identify(
     out: StrPath | None = None,
     figures: StrPath | None = None,
 ) -> Identification | OperationalModes:
-    """Modes from response functions or time histories; of responses alone from these.
+    """Identify modes from response functions, or from time histories with or without a force.
 
-    band in Hz; pick: take the poles nearest to these, Hz; criteria: shares to which a stable pole
-    agrees in frequency, damping and shape. estimator, segment (s), window: of response functions
-    from time histories. out: a test file with the modes; figures: a folder.
+    band: in Hz. pick: take the poles nearest to these frequencies, Hz. criteria: relative
+    tolerances of a stable pole in frequency, damping and shape. estimator, segment (s), window: for
+    response functions from time histories. out: test file for the modes. figures: folder.
     """
     settings = IdentificationSettings(band, order, tuple(pick), Criteria(*criteria))
     outputs, files = None, []
@@ -503,17 +504,17 @@ def identify(
 
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:
-    """A test from its file, or from files that belong together (modes, geometry, functions)."""
+    """Read a test from its file, or from several files (modes, geometry, response functions)."""
     return read_measurement(_paths(paths))
 
 
 def read_record(path: StrPath) -> CampaignRun:
-    """An update from its run folder or campaign.h5. Raises StoreError, StoreDamaged."""
+    """Read an update from its run folder or campaign.h5. Raises StoreError, StoreDamaged."""
     return read_run(Path(path))
 
 
 def _found(name: str, given: dict[str, Any]) -> Any:
-    """The result of a study; given: the arguments of its verb, by their names."""
+    """Return the result of a study; given: the arguments of its function, by name."""
     study = find_study(name)
     first = study.fields[0].name
     loaded, settings = None, given.pop("settings")
@@ -540,14 +541,14 @@ def _found(name: str, given: dict[str, Any]) -> Any:
 
 
 def _door(start: bool) -> Literal["start", "find", "off"]:
-    """Which server a verb uses: one that it may start, one that is there, or none."""
+    """Return the server that a function uses: one that it may start, an existing one, or none."""
     if os.environ.get("MODETUNE_NO_PREFECT", "").lower() in ("1", "true", "t", "yes", "y", "on"):
         return "off"
     return "start" if start else "find"
 
 
 def _parameter(name: str, value: Any) -> Any:
-    """An argument of a verb as its study has it."""
+    """Return an argument of a function in its study's form."""
     if name in ("at", "second_at"):
         return [f"{key}={float(number)!r}" for key, number in (value or {}).items()]
     if name in ("test", "first", "second"):
@@ -559,7 +560,7 @@ def _parameter(name: str, value: Any) -> Any:
 
 
 def _campaign_path(campaign: CampaignLike, folder: StrPath | None) -> Path:
-    """The file of a campaign, which is written first where it consists of objects."""
+    """Return the file of a campaign, after writing it if the campaign consists of objects."""
     if isinstance(campaign, Campaign):
         return campaign.file
     if isinstance(campaign, Mapping):
