@@ -55,7 +55,7 @@ def test_a_study_says_which_extra_it_requires(
 def test_the_extras_bring_what_is_asked_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     asked = project["optional-dependencies"]
-    module_of = {"vtkmodules": "pyvista", "pyoma2": "pyOMA_2"}  # pyvista brings VTK
+    module_of = {"vtkmodules": "pyvista", "pyoma2": "pyOMA_2", "prefect_dask": "prefect-dask"}
     for module, extra in EXTRAS.items():
         package = module_of.get(module, module)
         assert any(one.startswith(package) for one in asked[extra]), module
