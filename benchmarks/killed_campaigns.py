@@ -41,12 +41,20 @@ exec "{ccx}" "$@"
 """
 
 
+#: Where the standard output of a command goes.
+PRINTED = "printed.json"
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command, with the record that it leaves."""
+    """A command, with the record that it leaves in its run folder, or what it prints."""
 
     arguments: tuple[str, ...]
-    record: str
+    record: str = ""
+
+    def result(self, place: Path) -> Path:
+        """Return the file to compare."""
+        return place / "part" / self.record if self.record else place / PRINTED
 
 
 DIFFERENCES = ("--set", "sensitivity.method=finite_difference")
@@ -69,6 +77,14 @@ SAMPLE = (
     ),
     *("--set", "residuals.frequency_deviation=0.05"),
 )
+#: Studies that print their result, as flows.
+STUDIES = (
+    "modes part.yaml", "check part.yaml", "localise part.yaml", "pretest part.yaml",
+    "reduce part.yaml", "direct part.yaml", "expand part.yaml", "correlate part.yaml part.yaml",
+    "validate part.yaml --leave-one-out",
+)  # fmt: skip
+#: Kinds that run on a server.
+SERVED = ("flow", "studies")
 #: What is killed, a command for each campaign in turn.
 KINDS: dict[str, tuple[Command, ...]] = {
     "matrices": (Command((*UPDATE, "--set", STORED), "campaign.h5"),),
@@ -76,6 +92,7 @@ KINDS: dict[str, tuple[Command, ...]] = {
     "flow": (Command((*FLOW, "--set", OWN, *DIFFERENCES), "campaign.h5"),),
     "screening": tuple(Command((*SCREEN, "--set", way), "screening.h5") for way in (STORED, OWN)),
     "sampling": tuple(Command((*SAMPLE, "--set", way), "posterior.h5") for way in (STORED, OWN)),
+    "studies": tuple(Command((*line.split(), "--json")) for line in STUDIES),
 }
 
 
@@ -121,7 +138,7 @@ class Field:
 
     def kill(self, kind: str, count: int) -> Found:
         """Kill campaigns of a kind so many times."""
-        with self._served() if kind == "flow" else nullcontext():
+        with self._served() if kind in SERVED else nullcontext():
             return self._killed(kind, count)
 
     @contextmanager
@@ -139,14 +156,15 @@ class Field:
     def _killed(self, kind: str, count: int) -> Found:
         found = Found()
         wholes = [self._undisturbed(kind, turn, found) for turn in range(len(KINDS[kind]))]
-        while sum(found.blows.values()) < count:
-            turn = found.campaigns % len(KINDS[kind])
-            whole, seconds = wholes[turn]
-            place = self.folder / f"{kind}-{found.campaigns}"
-            self._until_it_ends(KINDS[kind][turn], place, SHARE * seconds, found)
-            found.campaigns += 1
-            found.differ += differences(whole, place / "part" / KINDS[kind][turn].record)
-            shutil.rmtree(place)
+        commands = KINDS[kind]
+        for command, (whole, seconds) in zip(commands, wholes, strict=True):
+            before = found.blows.total()
+            while found.blows.total() < before + count / len(commands):
+                place = self.folder / f"{kind}-{found.campaigns}"
+                self._until_it_ends(command, place, SHARE * seconds, found)
+                found.campaigns += 1
+                found.differ += differences(whole, command.result(place))
+                shutil.rmtree(place)
         return found
 
     def _undisturbed(self, kind: str, turn: int, found: Found) -> tuple[Path, float]:
@@ -157,7 +175,7 @@ class Field:
             began = time.monotonic()
             self._wait(self._start(command, place))
             seconds = time.monotonic() - began
-            records.append(place / "part" / command.record)
+            records.append(command.result(place))
         found.differ += differences(*records)
         return records[0], seconds
 
@@ -203,11 +221,14 @@ class Field:
         try:
             os.environ |= {**self.environment, "MODETUNE_STORE": str(place / "store")}
             os.setsid()
-            os.chdir(self.folder / "case")
+            shutil.copytree(self.folder / "case", place / "case", dirs_exist_ok=True)
+            os.chdir(place / "case")
             log = os.open(place / "log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-            os.dup2(log, 1)
+            printed = os.open(place / PRINTED, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(printed, 1)
             os.dup2(log, 2)
-            sys.argv = ["modetune", *command.arguments, "--runs", str(place)]
+            folder = ["--runs", str(place)] if command.record else []
+            sys.argv = ["modetune", *command.arguments, *folder]
             modetune()
             code = 0
         except SystemExit as end:

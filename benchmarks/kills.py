@@ -8,7 +8,7 @@ its end. Where the server alone is killed, the run itself must come to its end. 
 does not hold ends the benchmark.
 
     python -m benchmarks.kills [--matrices 100] [--solver 100] [--flow 50] [--screening 50]
-                               [--sampling 50] [--rounds 20] [--seed 1]
+                               [--sampling 50] [--studies 45] [--rounds 20] [--seed 1]
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ BLOWS = {
 
 
 #: Kills of each kind unless told.
-COUNTS = {"matrices": 100, "solver": 100, "flow": 50, "screening": 50, "sampling": 50}
+COUNTS = {
+    "matrices": 100, "solver": 100, "flow": 50, "screening": 50, "sampling": 50, "studies": 45,
+}  # fmt: skip
 
 
 def main() -> None:

@@ -1,14 +1,16 @@
-"""Two records of one campaign, compared bit by bit."""
+"""Two records of one campaign, or two results that a study printed, compared bit by bit."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-#: What a clock or a stop has a part in: seconds, and runs that the store spared.
-OF_THE_RUN = {"wall_s", "core_s", "licence_s", "modal", "sensitivity", "reused"}
+#: What depends on the run: seconds, solver runs that the store saved, and where the store is.
+OF_THE_RUN = {"wall_s", "core_s", "licence_s", "modal", "sensitivity", "reused", "store"}
 
 
 def differences(one: Path, other: Path) -> list[str]:
@@ -20,7 +22,12 @@ def differences(one: Path, other: Path) -> list[str]:
 
 
 def contents(record: Path) -> dict[str, tuple[object, ...]]:
-    """Type, shape and bits of each dataset and attribute of a record, but for times and counts."""
+    """Return the bits of each dataset and attribute of a record, without times and counts.
+
+    Of a JSON object: each value by its path.
+    """
+    if record.suffix == ".json":
+        return dict(_values(json.loads(record.read_text("utf-8")), ""))
     found: dict[str, tuple[object, ...]] = {}
 
     def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
@@ -41,3 +48,15 @@ def _bits(value: object) -> tuple[object, ...]:
     array = np.asarray(value)
     bits = tuple(array.ravel().tolist()) if array.dtype.kind == "O" else array.tobytes()
     return array.dtype.str, array.shape, bits
+
+
+def _values(item: object, path: str) -> Iterator[tuple[str, tuple[object, ...]]]:
+    if isinstance(item, dict):
+        for key, value in item.items():
+            if key not in OF_THE_RUN:
+                yield from _values(value, f"{path}/{key}")
+    elif isinstance(item, list):
+        for place, value in enumerate(item):
+            yield from _values(value, f"{path}/{place}")
+    else:
+        yield path, (item,)
