@@ -18,7 +18,7 @@ PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m pytest --numprocesses 
 test: $(VENV)/.ready-dev
 	$(PYTEST) --durations=40
 
-# What needs no solver, no server and no browser: two minutes.
+# What needs no solver, no server and no browser: two and a half minutes on two cores.
 quick: $(VENV)/.ready-dev
 	$(PYTEST) tests/core tests/test_structure.py
 

@@ -13,6 +13,7 @@ from modetune.adapters.nastran.deck import read_deck, write_edited
 from modetune.adapters.nastran.model import NastranModel, understand
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity, TargetKind
+from tests.adapters.nastran.test_deck import REAL
 
 #: Two of everything a parameter can stand on, in several formats.
 DECK = """SOL 103
@@ -381,16 +382,6 @@ def test_cards_of_other_programs_are_kept_and_listed(
     assert [card.name for card in model.deck.cards] == ["GRID", "WONDER", "EIGR"]
     assert model.objections == ()
     assert capfd.readouterr() == ("", "")
-
-
-REAL = (
-    "pn_beam_modes",
-    "pn_goland_sol200_dscm2",
-    "pn_mode_solid_shell_bar",
-    "pn_plate_py",
-    "pn_sdof_crod",
-    "yeti_gpwg1",
-)
 
 
 @pytest.mark.parametrize("case", REAL)
