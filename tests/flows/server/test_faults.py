@@ -32,8 +32,10 @@ from tests.flows.conftest import Bench, Watcher
 from tests.flows.server.site import SERVER, SIX_MASS, Site
 
 TRUTH = {"k1": 1.2, "k4": 0.9}
-#: Seconds that a study may take longer; the machine is busy with other tests besides.
+#: Seconds that a study may take longer because of a server.
 LATER_S = 20.0
+#: Factor on the time of a run, because other tests share the cores with it.
+BUSY = 2.0
 HIDDEN = ("PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "NO_PROXY", "no_proxy")
 
 
@@ -188,7 +190,7 @@ def test_what_answers_in_a_servers_place_changes_no_result(
         assert eventually(lambda: not ours(set(threading.enumerate()) - before), 5.0)
     check_same(end, plain)
     assert end.remark.startswith(("run without Prefect: ", LOST))
-    assert wall_s - plain_s < LATER_S
+    assert wall_s < BUSY * plain_s + LATER_S
 
 
 def test_a_server_that_answers_but_writes_nothing_does_not_get_the_end_of_a_run() -> None:
@@ -311,7 +313,7 @@ def test_a_command_ends_as_ever_where_the_shared_servers_database_is(
             with suppress(ProcessLookupError):
                 os.kill(address.pid, signal.SIGKILL)
     assert printed(done) == plain[0]
-    assert wall_s - plain[1] < LATER_S + 5.0  # other tests run beside this one
+    assert wall_s < BUSY * plain[1] + LATER_S
 
 
 @pytest.fixture(scope="module")
@@ -350,5 +352,5 @@ def test_a_server_that_dies_or_hangs_under_a_run_changes_no_result(
         site.kill(*SERVER)
     assert run.returncode == 0, said
     assert not {"fault", "Traceback", "thread"} & set(said.split())
-    assert wall_s < plain[1] + LATER_S
+    assert wall_s < BUSY * plain[1] + LATER_S
     assert json.loads(printed_json)["parameters"] == plain[0]["parameters"]

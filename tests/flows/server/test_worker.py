@@ -123,7 +123,8 @@ def test_a_run_of_a_command_shows_what_repeats_and_what_cancels_it(site: Site) -
     assert cancelled.returncode == 0, cancelled.stderr
     began = time.monotonic()
     command.communicate(timeout=60.0)
-    assert (command.returncode, time.monotonic() - began < 10.0) == (130, True)
+    assert command.returncode == 130
+    assert time.monotonic() - began < 15.0  # 10 s where no other tests share the cores
     site.resume()
     assert site.state(words[-1])["state_type"] == "CANCELLED"
 
