@@ -20,6 +20,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import yaml
 from pydantic import (
+    BeforeValidator,
     Field,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -60,6 +61,16 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 #: A name, not an address: users keep the file wherever they like.
 IDENTIFIER = "urn:modetune:campaign"
 Number = Annotated[int, Field(ge=1)]
+
+
+def _sensor_name(value: object) -> str:
+    node, _, component = str(value).partition(".")
+    if not (node.isdecimal() and (not component or component in COMPONENTS)):
+        raise ValueError(f"{value} is not a sensor's name; write node.component (12.z) or a node")
+    return str(value)
+
+
+SensorName = Annotated[str, BeforeValidator(_sensor_name)]
 Triple = tuple[Finite, Finite, Finite]
 Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]
 
@@ -196,6 +207,13 @@ class SensorSection(Section):
     unmapped: Literal["refuse", "leave_out"] = "refuse"
     """What to do with sensors that have no node within the tolerance, or whose motion is missing
     from the model's results."""
+    reverse: tuple[SensorName, ...] = ()
+    """Sensors with the wrong sign, `[202.x]`; a node alone means all its directions. Applied last,
+    after `exchange`."""
+    exchange: tuple[tuple[SensorName, SensorName], ...] = ()
+    """Pairs of sensors that were plugged in for each other, `[[12.x, 14.x]]`."""
+    drop: tuple[SensorName, ...] = ()
+    """Sensors that failed; the test is read as if it did not have them."""
 
     @model_validator(mode="after")
     def _sound(self) -> SensorSection:

@@ -13,6 +13,7 @@ from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.repeated_tests import check_alike, mean_of_tests
 from modetune.core.measurement.response_functions import Complexes
+from modetune.core.measurement.sensor_corrections import correct_sensors
 from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, ModeSet, mode_set
@@ -39,6 +40,11 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     except CampaignError as error:
         where = source.where(("test", "modes"))
         problems += [f"{problem} (named in {where})" for problem in error.problems]
+        return None
+    try:
+        measurement = _corrected(measurement, file)
+    except ModesError as error:
+        problems.append(f"{source.where(('test', 'sensors'))}: {error}")
         return None
     said = ", ".join(names)
     if file.test.repeats:
@@ -82,6 +88,11 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     return measurement
 
 
+def _corrected(measurement: Measurement, file: CampaignFile) -> Measurement:
+    sensors = file.test.sensors
+    return correct_sensors(measurement, sensors.reverse, sensors.exchange, sensors.drop)
+
+
 def _with_repeats(
     source: YamlFile, file: CampaignFile, measurement: Measurement, problems: list[str]
 ) -> Measurement | None:
@@ -96,7 +107,7 @@ def _with_repeats(
     tests = [first]
     for name in file.test.repeats:
         try:
-            found = read_measurement([source.path.parent / name])
+            found = _corrected(read_measurement([source.path.parent / name]), file)
             if found.modes is None:
                 raise CampaignError(f"{name} holds no modes")
             check_alike(first, found.modes)

@@ -168,12 +168,14 @@ def _finding(
     names = [sensor_name(modes, row) for row in rows]
     if len(names) == 1:
         return SENSORS.doubtful(
-            f"turned round, {gain}",
+            f"reversed? With the other sign {gain}",
             f"sensor {names[0]}",
-            "upside down, or a wrong sign in the test's file?",
+            "if it was mounted upside down or has the wrong sign, set "
+            f"`test.sensors.reverse: [{names[0]}]`",
         )
     return SENSORS.doubtful(
-        f"swapped? Exchanged, {gain}",
+        f"exchanged? With each other's channel {gain}",
         f"sensors {' and '.join(names)}",
-        "look at cables and channel names",
+        "if cables or channel names were mixed up, set "
+        f"`test.sensors.exchange: [[{', '.join(names)}]]`",
     )

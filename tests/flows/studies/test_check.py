@@ -460,9 +460,11 @@ def test_a_sensor_upside_down_is_named_with_what_turning_it_gives(bench: Any) ->
     macs = (1.0 - 2.0 * shapes[8] ** 2 / np.sum(shapes**2, axis=0)) ** 2
     worst_mode = int(np.argmin(macs))
     assert only("doubtful", report.findings).startswith(
-        f"sensor 3.z: turned round, the MAC of mode {worst_mode + 1} would be 1.00 instead of "
+        f"sensor 3.z: reversed? With the other sign the MAC of mode {worst_mode + 1} would be 1.00 instead of "
         f"{macs[worst_mode]:.2f}; it stands out by "
     )
+    (remedy,) = [item.remedy for item in report.findings if "reversed?" in item.what]
+    assert remedy.endswith("set `test.sensors.reverse: [3.z]`")
 
 
 def test_axes_that_are_wrong_for_all_sensors_are_named_as_one_fault(bench: Any) -> None:
@@ -488,9 +490,11 @@ def test_swapped_sensors_are_named(bench: Any) -> None:
     report = judged(
         recased(campaign, test=replace(campaign.test, modes=modes)), result, (), 10, NO_RUN
     )
-    said = [text for text in at("doubtful", report.findings) if "swapped" in text]
+    said = [text for text in at("doubtful", report.findings) if "exchanged?" in text]
     assert len(said) == 1
-    assert said[0].startswith("sensors 2.y and 3.z: swapped? Exchanged, the MAC of mode")
+    assert said[0].startswith("sensors 2.y and 3.z: exchanged? With each other's channel the MAC")
+    (remedy,) = [item.remedy for item in report.findings if "exchanged?" in item.what]
+    assert remedy.endswith("set `test.sensors.exchange: [[2.y, 3.z]]`")
 
 
 def mixed(test: MeasuredModes, column: int, shape: Any) -> MeasuredModes:
