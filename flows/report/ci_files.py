@@ -1,4 +1,4 @@
-"""What a check found in the forms that CI services show: a summary in Markdown, JUnit's XML."""
+"""The findings of a check as CI services show them: a Markdown summary and JUnit's XML."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from modetune.flows.report.tables import Table
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """One thing that was judged; failure: why it failed, empty where it passed."""
+class CheckItem:
+    """One test case of a check; failure is the reason, empty if it passed."""
 
     name: str
     failure: str = ""
@@ -21,25 +21,25 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class CheckOutcome:
-    """What a check found: a name, its end in a sentence, tables, remarks and each thing judged."""
+    """The outcome of a check: name, conclusion in a sentence, tables, remarks and test cases."""
 
     name: str
     end: str
     tables: tuple[Table, ...]
     remarks: tuple[str, ...]
-    judged: tuple[Judged, ...]
+    items: tuple[CheckItem, ...]
 
     def write(self, summary: Path | None, junit: Path | None) -> None:
-        """Add to a Markdown file, as $GITHUB_STEP_SUMMARY wants it, and write JUnit's XML.
+        """Append to a Markdown file (such as $GITHUB_STEP_SUMMARY) and write JUnit's XML.
 
-        Raises CampaignError where a file cannot be written.
+        Raises CampaignError if a file cannot be written.
         """
         try:
             if summary is not None:
                 with summary.open("a", encoding="utf-8") as file:
                     file.write(self.markdown())
             if junit is not None:
-                _junit(self.name, self.judged).write(junit, encoding="utf-8", xml_declaration=True)
+                _junit(self.name, self.items).write(junit, encoding="utf-8", xml_declaration=True)
         except OSError as error:
             raise CampaignError(f"{error.filename}: {error.strerror}") from None
 
@@ -65,17 +65,17 @@ def _table(table: Table) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text that Markdown shows as it is."""
+    """Escape what Markdown would format."""
     text = " ".join(text.split())
     return "".join(f"\\{letter}" if letter in r"\`*_[]<>|" else letter for letter in text)
 
 
-def _junit(name: str, judged: Sequence[Judged]) -> ElementTree[Element]:
-    failed = sum(bool(item.failure) for item in judged)
+def _junit(name: str, items: Sequence[CheckItem]) -> ElementTree[Element]:
+    failed = sum(bool(item.failure) for item in items)
     suites = Element("testsuites")
-    counts = {"tests": str(len(judged)), "failures": str(failed), "errors": "0"}
+    counts = {"tests": str(len(items)), "failures": str(failed), "errors": "0"}
     suite = SubElement(suites, "testsuite", {"name": f"modetune check {name}", **counts})
-    for item in judged:
+    for item in items:
         case = SubElement(suite, "testcase", {"classname": name, "name": item.name})
         if item.failure:
             SubElement(case, "failure", {"message": item.failure}).text = item.failure

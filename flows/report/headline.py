@@ -1,4 +1,4 @@
-"""How a campaign ended, in a paragraph for people, with the main figures."""
+"""The top of a report: the outcome of a campaign in a paragraph, with its main figures."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from modetune.flows.report.mode_tables import (
 from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
 from modetune.flows.report.tables import Column, signed
 
-#: How a campaign's end reads.
+#: What each status means for the model, and its mood.
 STATUS = {
     "converged": ("agrees with its test", "good"),
-    "max_iterations": ("came nearer to its test, but does not agree with it yet", "fair"),
-    "stationary": ("was brought as near to its test as these parameters can", "fair"),
+    "max_iterations": ("is closer to its test than before, but does not agree with it yet", "fair"),
+    "stationary": ("is as close to its test as these parameters allow", "fair"),
     "running": ("is still being updated", "fair"),
 }
-#: ... and which end that is where e1 is met.
-LEAST, ENOUGH = ", at the least misfit", " well enough (e1), short of the least misfit"
-#: ... where it is in some, or in no respect nearer to its test than before.
-IN_PART = ("came nearer to its test in part only", "fair")
-NO_NEARER = ("did not come nearer to its test", "outside")
-#: A MAC that changes by less is as before: shown digits.
+#: Added where the model agrees: at the minimum misfit, or where e1 stopped updating before it.
+AT_MINIMUM, BEFORE_MINIMUM = ", at the minimum misfit", " (e1), short of the minimum misfit"
+#: Replace the status where only some measures of agreement improved, or none.
+PARTLY_CLOSER = ("is closer to its test in part only", "fair")
+NO_CLOSER = ("is no closer to its test than before", "outside")
+#: Smaller changes of MAC are invisible in the three decimals shown.
 SAME_MAC = 5e-4
 
 
-#: How each verdict on the parameters looks.
+#: The mood of each verdict on the parameters.
 MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
-#: From the best to the worst; a model as a whole has the mood of its worst part.
+#: From best to worst; a model has the mood of its worst part.
 MOODS = ("good", "fair", "outside")
-#: Parameters that are shown at the top, those that changed the most.
+#: At most this many parameters appear at the top: those that changed most.
 SHOWN_PARAMETERS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure that is looked for first: its name, what it is, how it looks, what stands below."""
+    """A main figure of the report: name, value, the small print below it, mood ("" for none)."""
 
     name: str
     value: str
@@ -54,7 +54,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class TrustWord:
-    """How far the answer can be trusted: in a word, why, and both in a sentence."""
+    """The verdict on the parameters, its mood, the reason, and verdict and reason in a sentence."""
 
     verdict: str
     mood: str
@@ -64,10 +64,11 @@ class TrustWord:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """ending: what became of the model, with its mood (good, fair, outside); text: in sentences.
+    """What the top of a report shows.
 
-    changed, agrees, trust: what changed, how well it agrees now (agreement: its mood), how far to
-    trust it; more_changed: parameters that are not among those shown; cost: of all that.
+    ending completes "The model of ... "; mood is good, fair or outside; text is a paragraph.
+    changed has the parameters that changed most and more_changed summarises the others; agrees has
+    the agreement with the test, agreement its mood; cost is a sentence.
     """
 
     ending: str
@@ -82,7 +83,7 @@ class Headline:
 
 
 def headline(record: CampaignRecord) -> Headline:
-    """The top of a report; a model with a doubt is never good."""
+    """Return the top of a record's report; its mood is never better than that of the verdict."""
     rows, trust = mode_rows(record), _trust(record)
     ending, mood = _ending(record, rows)
     if unmatched_modes(record):
@@ -108,32 +109,28 @@ def headline(record: CampaignRecord) -> Headline:
 def _trust(record: CampaignRecord) -> TrustWord:
     trust = record.trust
     if trust is None:
-        why = "No sensitivity was computed, so nothing tells how well the parameters are known."
-        return TrustWord("Not judged", "fair", why, f"How far to trust it was not judged: {why}")
+        why = "Without a sensitivity the parameters have no standard errors."
+        return TrustWord("Not assessed", "fair", why, f"The parameters were not assessed: {why}")
     sentence = trust_sentences(trust)[0]
     _, _, why = sentence.partition(": ")
     return TrustWord(trust.verdict.capitalize(), MOOD[trust.verdict], why, sentence)
 
 
 def _ending(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[str, str]:
-    """How the campaign's end reads, and its mood."""
     if record.status in ("max_iterations", "stationary") and record.best.number > 0:
-        nearer = _changes(rows)
-        if not any(change > 0.0 for change in nearer):
-            return NO_NEARER
-        if any(change < 0.0 for change in nearer):
-            return IN_PART
+        improvements = _improvements(rows)
+        if not any(change > 0.0 for change in improvements):
+            return NO_CLOSER
+        if any(change < 0.0 for change in improvements):
+            return PARTLY_CLOSER
     ending, mood = STATUS.get(record.status, (f"ended as {record.status}", "fair"))
     if record.status == "converged" and record.trust is not None:
-        ending += LEAST if record.trust.ended == "least misfit" else ENOUGH
+        ending += AT_MINIMUM if record.trust.ended == "least misfit" else BEFORE_MINIMUM
     return ending, mood
 
 
-def _changes(rows: Sequence[ModeRow]) -> tuple[float, float, float]:
-    """By how much worst error, mean error and least MAC are better than before.
-
-    The MAC's is zero where it is as before, or unknown.
-    """
+def _improvements(rows: Sequence[ModeRow]) -> tuple[float, float, float]:
+    """The improvements of worst error, mean error and lowest MAC (zero below SAME_MAC, or NaN)."""
     before = np.abs([row.error_initial for row in rows])
     after = np.abs([row.error_updated for row in rows])
     rise = min(row.mac_updated for row in rows) - min(row.mac_initial for row in rows)
@@ -151,18 +148,14 @@ def _frequencies(rows: Sequence[ModeRow]) -> str:
         float(np.mean([abs(getattr(row, f"error_{when}")) for row in rows]))
         for when in ("initial", "updated")
     ]
-    modes = f"all {len(rows)} measured modes were" if len(rows) > 1 else "the measured mode was"
-    worst, mean, _ = _changes(rows)
+    modes = f"All {len(rows)} measured modes are" if len(rows) > 1 else "The measured mode is"
+    worst, mean, _ = _improvements(rows)
     before = f"{percent(abs(worst_before.error_initial), sign=False)} (mode {worst_before.label})"
     after = f"{percent(abs(worst_after.error_updated), sign=False)} (mode {worst_after.label})"
-    largest = (
-        f"frequencies that were off by up to {before} are now within {after}"
-        if worst > 0.0
-        else f"the largest frequency error did not improve: {before} before, {after} now"
-    )
     return (
-        f"{modes.capitalize()} found in it; {largest}; the mean error "
-        f"{'fell' if mean > 0.0 else 'did not improve: it went'} from "
+        f"{modes} paired. The largest frequency error "
+        f"{'fell' if worst > 0.0 else 'did not improve: it went'} from {before} to {after}, the "
+        f"mean error {'fell' if mean > 0.0 else 'did not improve: it went'} from "
         f"{percent(means[0], sign=False)} to {percent(means[1], sign=False)}. "
     )
 
@@ -170,16 +163,16 @@ def _frequencies(rows: Sequence[ModeRow]) -> str:
 def _shapes(rows: Sequence[ModeRow]) -> str:
     macs = [row.mac_updated for row in rows]
     if not np.isfinite(macs).all():
-        return "No shapes were measured, so modes were paired by frequency and tracked by shape. "
+        return "Without measured shapes, modes were paired by frequency and tracked by shape. "
     least = min(rows, key=lambda row: row.mac_updated)
     before = min(rows, key=lambda row: row.mac_initial)
-    if _changes(rows)[2] < 0.0:
+    if _improvements(rows)[2] < 0.0:
         return (
-            f"Mode shapes did not improve: the least MAC fell from {before.mac_initial:.3f} "
+            f"Mode shapes did not improve: the lowest MAC fell from {before.mac_initial:.3f} "
             f"(mode {before.label}) to {least.mac_updated:.3f} (mode {least.label}). "
         )
     return (
-        f"Mode shapes agree with a MAC of at least {least.mac_updated:.3f} (mode {least.label}; "
+        f"The lowest MAC is {least.mac_updated:.3f} (mode {least.label}; "
         f"{before.mac_initial:.3f} before). "
     )
 
@@ -188,20 +181,22 @@ def _parameters(record: CampaignRecord) -> str:
     change = record.updated / record.iterations[0].parameters - 1.0
     most = int(np.argmax(np.abs(change)))
     on = record.parameters.at_bounds(record.updated)
-    bounds = "none stands on a bound" if not on else f"{', '.join(on)} on a bound"
+    bounds = f"on a bound: {', '.join(on)}" if on else "none is on a bound"
     names = record.parameters.names
     if any(item.values != "relative" for item in record.parameters.parameters):
-        return f"{', '.join(names)} updated; {bounds}."  # shares of what may be zero say nothing
+        # An absolute value may start at zero, where a relative change means nothing.
+        return f"Updated parameters: {', '.join(names)}; {bounds}."
     if len(names) == 1:
-        return f"{names[0]} was changed by {percent(change[0], 1)}, {bounds}."
+        where = "on a bound" if on else "not on a bound"
+        return f"{names[0]} changed by {percent(change[0], 1)} and is {where}."
     return (
-        f"{len(names)} parameters were updated, {names[most]} the most "
+        f"Of {len(names)} parameters {names[most]} changed most "
         f"({percent(float(change[most]), 1)}); {bounds}."
     )
 
 
 def _changed(record: CampaignRecord) -> tuple[tuple[Figure, ...], str]:
-    """The parameters that changed the most, in the campaign's order, and what is said of others."""
+    """The parameters that changed most, in the campaign's order, and a sentence on the others."""
     rows = parameter_rows(record)
     sizes = [abs(row.change) if np.isfinite(row.change) else np.inf for row in rows]
     most = sorted(np.argsort(sizes, kind="stable")[::-1][:SHOWN_PARAMETERS].tolist())
@@ -230,7 +225,6 @@ def _changed(record: CampaignRecord) -> tuple[tuple[Figure, ...], str]:
 
 
 def _start(row: ParameterRow) -> str:
-    """The number of the deck that a campaign began with."""
     return number(row.initial * (row.deck_value if row.values == "relative" else 1.0), ".6g")
 
 
@@ -259,7 +253,7 @@ def _agrees(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Figure, ..
         )
         figures.append(
             Figure(
-                "Least MAC",
+                "Lowest MAC",
                 number(least, ".3f"),
                 f"before {number(was, '.3f')}",
                 "outside" if least < record.e1_mac else "",
@@ -269,18 +263,17 @@ def _agrees(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Figure, ..
 
 
 def _cost(record: CampaignRecord) -> str:
-    """Iterations, solver runs and time."""
     runs = record.runs
-    stored = f", {runs.reused} more answered by the store" if runs.reused else ""
+    cached = f" ({runs.reused} more cached)" if runs.reused else ""
     return (
-        f"It took {_count(record.best.number, 'iteration')}, "
-        f"{_count(runs.modal + runs.sensitivity, 'solver run')}{stored}, "
+        f"{_count(record.best.number, 'iteration')}, "
+        f"{_count(runs.modal + runs.sensitivity, 'solver run')}{cached}, "
         f"{number(runs.core_s / 60.0, '.2g')} core-minutes."
     )
 
 
 def percent(share: float, decimals: int = 2, sign: bool = True) -> str:
-    """A share in percent; what rounds to nothing has no sign."""
+    """Return a relative value in percent; one that rounds to zero has no sign."""
     text = Column("", "%", f"{'+' if sign else ''}.{decimals}f").shown(share)
     return signed(text) if text == "-" else f"{signed(text)} %"
 

@@ -1,7 +1,7 @@
-"""What Prefect's pages show of a run besides its tasks: tables, a picture, progress, places.
+"""Prefect artifacts of a run: result tables, a MAC picture, progress, links to the files.
 
-Sheets are made from records and know no server. A key is the campaign's name and the sheet's: one
-key over runs is a history.
+They are made from records, without a server. A key joins the names of campaign and artifact, so
+that Prefect shows the history of an artifact over several runs.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from modetune.flows.report.parameter_tables import parameter_table
 from modetune.flows.report.report_file import PAGE
 from modetune.flows.report.tables import Table, artifact_rows
 
-#: A picture travels inside its sheet; larger ones are drawn again at less resolution.
+#: Characters; an artifact contains its picture, which is drawn at lower resolutions until it fits.
 LARGEST_PICTURE = 200_000
-#: Dots per inch that are tried one after another.
+#: Dots per inch, tried in this order.
 RESOLUTIONS = (110, 80, 55, 40)
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
-    """One artifact: its kind, key, description in Markdown, and what it shows."""
+class Artifact:
+    """An artifact of Prefect; data is JSON rows, Markdown or a percentage, depending on kind."""
 
     kind: Literal["table", "markdown", "progress"]
     key: str
@@ -42,66 +42,67 @@ class Sheet:
     data: str | float
 
 
-def sheet_key(campaign: str, sheet: str) -> str:
-    """A key as Prefect requires it: small letters, digits, dashes."""
-    return re.sub(r"[^a-z0-9]+", "-", f"{campaign}-{sheet}".lower()).strip("-")
+def artifact_key(campaign: str, name: str) -> str:
+    """Return a key of lower-case letters, digits and dashes, as Prefect requires."""
+    return re.sub(r"[^a-z0-9]+", "-", f"{campaign}-{name}".lower()).strip("-")
 
 
-def progress_sheets(
+def progress_artifacts(
     name: str, tolerances: Tolerances, iterations: Sequence[IterationRecord]
-) -> list[Sheet]:
-    """How near e1 is, and a line an iteration."""
-    kept = [item for item in iterations if item.accepted][-1]
+) -> list[Artifact]:
+    """Return the progress towards e1 (100 where it is met) and the table of iterations."""
+    last = [item for item in iterations if item.accepted][-1]
     return [
-        Sheet(
+        Artifact(
             "progress",
-            sheet_key(name, "progress"),
-            f"Largest frequency error {100 * kept.worst_error:.2f} %, "
-            f"e1 asks for {100 * tolerances.frequency:g} % (100 is e1 met)",
-            round(100.0 * _nearness(kept, tolerances), 1),
+            artifact_key(name, "progress"),
+            f"Largest frequency error {100 * last.worst_error:.2f} %, "
+            f"e1 {100 * tolerances.frequency:g} % (at 100 e1 is met)",
+            round(100.0 * _progress(last, tolerances), 1),
         ),
-        table_sheet(name, "iterations", iteration_table(iterations), f"Iterations of {name}"),
+        table_artifact(name, "iterations", iteration_table(iterations), f"Iterations of {name}"),
     ]
 
 
-def result_sheets(record: CampaignRecord, folder: Path) -> list[Sheet]:
-    """Frequencies, parameters, MAC and places at the end of a run."""
+def result_artifacts(record: CampaignRecord, folder: Path) -> list[Artifact]:
+    """Return frequencies, parameters, files and, with measured shapes, the MAC picture of a run."""
     name = record.name
-    sheets = [
-        table_sheet(
+    artifacts = [
+        table_artifact(
             name, "frequencies", mode_table(record), f"Frequencies of {name} before and after"
         ),
-        table_sheet(name, "parameters", parameter_table(record), f"Parameters of {name}"),
-        Sheet(
+        table_artifact(name, "parameters", parameter_table(record), f"Parameters of {name}"),
+        Artifact(
             "markdown",
-            sheet_key(name, "record"),
-            f"Where the run of {name} left its files",
-            _places(record, folder),
+            artifact_key(name, "record"),
+            f"Status and files of {name}",
+            _status_and_files(record, folder),
         ),
     ]
     if record.test.has_shapes:
         picture = base64.b64encode(mac_picture(record)).decode()
-        sheets.append(
-            Sheet(
+        artifacts.append(
+            Artifact(
                 "markdown",
-                sheet_key(name, "mac"),
+                artifact_key(name, "mac"),
                 f"MAC of {name} before and after",
                 f"![MAC](data:image/png;base64,{picture})",
             )
         )
-    return sheets
+    return artifacts
 
 
-def table_sheet(campaign: str, sheet: str, table: Table, description: str = "") -> Sheet:
-    """A table as a sheet; it is described by its name unless told."""
+def table_artifact(campaign: str, name: str, table: Table, description: str = "") -> Artifact:
+    """Return a table as an artifact; the description defaults to its name."""
     data = json.dumps(artifact_rows(table))
-    return Sheet("table", sheet_key(campaign, sheet), description or sheet, data)
+    return Artifact("table", artifact_key(campaign, name), description or name, data)
 
 
-def files_sheet(campaign: str, written: Sequence[Path]) -> Sheet:
-    """Where a run left its report and other files, as links for a browser on the same machine."""
-    said = f"Where the run of {campaign} left its files"
-    return Sheet("markdown", sheet_key(campaign, "files"), said, _links(written))
+def files_artifact(campaign: str, written: Sequence[Path]) -> Artifact:
+    """Return links to the files of a run, for a browser on the same machine."""
+    return Artifact(
+        "markdown", artifact_key(campaign, "files"), f"Files of {campaign}", _links(written)
+    )
 
 
 def _links(files: Sequence[Path]) -> str:
@@ -110,8 +111,8 @@ def _links(files: Sequence[Path]) -> str:
 
 
 def mac_picture(record: CampaignRecord) -> bytes:
-    """MAC of computed with measured modes before and after, as PNG that fits into a sheet."""
-    # Drawing is imported where something is drawn.
+    """Return the MAC matrices before and after as a PNG that fits into an artifact."""
+    # Matplotlib is slow to import.
     from modetune.flows.report.campaign_charts import mac_towers
     from modetune.flows.report.matplotlib_charts import matplotlib_figure
 
@@ -129,8 +130,8 @@ def mac_picture(record: CampaignRecord) -> bytes:
     return drawn
 
 
-def _nearness(record: IterationRecord, tolerances: Tolerances) -> float:
-    """1 where e1 is met, else the tolerance over the largest difference that exceeds it."""
+def _progress(record: IterationRecord, tolerances: Tolerances) -> float:
+    """Tolerance over the largest difference that exceeds it; 1 if none does (e1 is met)."""
     shares = [tolerances.frequency / max(record.worst_error, tolerances.frequency)]
     mac = record.pairing.judged_mac
     if np.isfinite(mac).all() and mac.min() < tolerances.mac:
@@ -138,13 +139,13 @@ def _nearness(record: IterationRecord, tolerances: Tolerances) -> float:
     return min(shares)
 
 
-def _places(record: CampaignRecord, folder: Path) -> str:
+def _status_and_files(record: CampaignRecord, folder: Path) -> str:
     place, runs = folder.resolve(), record.runs
     files = [*filter(Path.exists, [place / PAGE]), place / "campaign.h5"]
     return (
         f"**{record.status.replace('_', ' ')}**: {record.reason}\n\n"
         f"{_links(files)}\n"
         f"* updated deck in `{place / 'updated'}`\n"
-        f"* solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} answered"
-        f" by the store\n* {record.solver} {record.solver_version}, {record.wall_s:.1f} s\n"
+        f"* solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} cached\n"
+        f"* {record.solver} {record.solver_version}, {record.wall_s:.1f} s\n"
     )

@@ -42,7 +42,7 @@ from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.silent_runs import TAG
 from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Runner
-from modetune.flows.server.artifacts import files_sheet, result_sheets, table_sheet
+from modetune.flows.server.artifacts import files_artifact, result_artifacts, table_artifact
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study
 from modetune.flows.studies.result import StudyResult
@@ -248,8 +248,8 @@ def _carried(
         runs.append(StudyRun(runner, licences=configured_server() is not None))
         stack.enter_context(running_with(runs[0]))
         end = handed.end = study.call(on, parameters)
-    for sheet in _sheets(study, on.name, end):
-        page.sheet(sheet)
+    for artifact in _artifacts(study, on.name, end):
+        page.artifact(artifact)
     for line in end.lines:
         page.log(line)
     name, reason = end.state.replace("_", " ").capitalize(), "; ".join(end.doubts) or end.sentence
@@ -258,11 +258,11 @@ def _carried(
     return made(name=name, message=reason, data=end.to_json())
 
 
-def _sheets(study: Study, name: str, end: StudyResult) -> list[Any]:
+def _artifacts(study: Study, name: str, end: StudyResult) -> list[Any]:
     if isinstance(end.found, CampaignRun):
-        return result_sheets(end.found.record, end.found.folder)
-    sheets = [table_sheet(name, table.title, table) for table in end.tables]
-    return sheets + ([files_sheet(name, end.written)] if end.written else [])
+        return result_artifacts(end.found.record, end.found.folder)
+    artifacts = [table_artifact(name, table.title, table) for table in end.tables]
+    return artifacts + ([files_artifact(name, end.written)] if end.written else [])
 
 
 def _runner(campaign: Campaign | None) -> AbstractContextManager[Runner]:

@@ -35,7 +35,7 @@ from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.updating.criteria import Tolerances
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
 from modetune.flows.jobs.silent_runs import BEAT_S, send_heartbeat
-from modetune.flows.server.artifacts import Sheet, progress_sheets
+from modetune.flows.server.artifacts import Artifact, progress_artifacts
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.forecast import Progress
 
@@ -67,7 +67,7 @@ class RunPage:
         self._cancel = cancel
         self._own_process = own_process
         self._main = threading.get_ident()
-        self._waiting: queue.SimpleQueue[dict[str, Any] | Sheet] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[dict[str, Any] | Artifact] = queue.SimpleQueue()
         self._artifacts: dict[str, UUID] = {}
         self._over, self._silent = threading.Event(), False
         self._interrupted = False
@@ -91,9 +91,9 @@ class RunPage:
             "flow_run_id": self.run,
         }
 
-    def sheet(self, sheet: Sheet) -> None:
+    def artifact(self, artifact: Artifact) -> None:
         """Show a table, a text or a number; a later one of the same key replaces it."""
-        self._waiting.put(sheet)
+        self._waiting.put(artifact)
 
     def finish(self) -> bool:
         """Send what is left, end the thread, and return whether the server answers."""
@@ -161,13 +161,13 @@ class RunPage:
         os._exit(STOPPED)
 
     def _send(self) -> None:
-        """Send all that waits: log lines together, the newest sheet of each key."""
+        """Send all that waits: log lines together, the newest artifact of each key."""
         lines: list[dict[str, Any]] = []
-        sheets: dict[str, Sheet] = {}
+        artifacts: dict[str, Artifact] = {}
         while not self._waiting.empty():
             item = self._waiting.get()
-            if isinstance(item, Sheet):
-                sheets[item.key] = item
+            if isinstance(item, Artifact):
+                artifacts[item.key] = item
             else:
                 lines.append(item)
         if self._silent:
@@ -175,28 +175,28 @@ class RunPage:
         try:
             if lines:
                 self.client.post("/logs/", lines, REQUEST_S)
-            for sheet in sheets.values():
+            for artifact in artifacts.values():
                 with temporary_settings({PREFECT_CLIENT_MAX_RETRIES: 0}):
-                    self._show(sheet)
+                    self._show(artifact)
         except Exception:  # a page that lacks a table is no reason for a study to fail
             self._silent = True
 
-    def _show(self, sheet: Sheet) -> None:
-        known = self._artifacts.get(sheet.key)
+    def _show(self, artifact: Artifact) -> None:
+        known = self._artifacts.get(artifact.key)
         if known is not None:
             with get_client(sync_client=True) as client:
-                new = ArtifactUpdate(data=sheet.data, description=sheet.description)
+                new = ArtifactUpdate(data=artifact.data, description=artifact.description)
                 client.update_artifact(known, new)
             return
-        named: dict[str, Any] = {"key": sheet.key, "description": sheet.description}
-        if sheet.kind == "table":
-            made = create_table_artifact(json.loads(str(sheet.data)), **named)
-        elif sheet.kind == "markdown":
-            made = create_markdown_artifact(str(sheet.data), **named)
+        named: dict[str, Any] = {"key": artifact.key, "description": artifact.description}
+        if artifact.kind == "table":
+            made = create_table_artifact(json.loads(str(artifact.data)), **named)
+        elif artifact.kind == "markdown":
+            made = create_markdown_artifact(str(artifact.data), **named)
         else:
-            made = create_progress_artifact(float(sheet.data), **named)
+            made = create_progress_artifact(float(artifact.data), **named)
         assert isinstance(made, UUID)
-        self._artifacts[sheet.key] = made
+        self._artifacts[artifact.key] = made
 
 
 class PageLog(logging.Handler):
@@ -235,5 +235,5 @@ class PageProgress(Progress):
         self._iterations.append(record)
         self.run_page.log(iteration_line(record))
         if self.tolerances is not None:
-            for sheet in progress_sheets(self.name, self.tolerances, self._iterations):
-                self.run_page.sheet(sheet)
+            for artifact in progress_artifacts(self.name, self.tolerances, self._iterations):
+                self.run_page.artifact(artifact)

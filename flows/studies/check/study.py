@@ -233,7 +233,7 @@ def _compared(
     campaign: Campaign, baseline: Path, record: Path | None, state: ModelState, band: Band
 ) -> tuple[StudyResult, CheckOutcome]:
     """Compare a campaign's model, or that of a record, with a baseline's."""
-    from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.report.ci_files import CheckItem, CheckOutcome
     from modetune.flows.updating.baseline import ModeCheck, check_deck, check_record
 
     found = (
@@ -262,27 +262,27 @@ def _compared(
         status="within the band" if found.within else "worse",
         exit_code=0 if found.within else 3,
     )
-    judged = [Judged(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
-    if not judged:  # a mode was lost
-        judged = [Judged("modes", found.reason)]
-    return end, CheckOutcome(campaign.name, said, (table,), found.remarks, tuple(judged))
+    items = [CheckItem(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
+    if not items:  # a mode was lost
+        items = [CheckItem("modes", found.reason)]
+    return end, CheckOutcome(campaign.name, said, (table,), found.remarks, tuple(items))
 
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     """The findings of the pre-check, for CI: only errors fail."""
-    from modetune.flows.report.ci_files import CheckOutcome, Judged
+    from modetune.flows.report.ci_files import CheckItem, CheckOutcome
     from modetune.flows.studies.check.pairing import ModePreview
 
     said = [(item.subject, item.level, _finding(item)) for item in report.findings]
     remarks = tuple(
         f"{level}: {subject}: {text}" for subject, level, text in said if level != "good"
     )
-    judged = tuple(
-        Judged(f"{subject}: {text}", text if level == "wrong" else "")
+    items = tuple(
+        CheckItem(f"{subject}: {text}", text if level == "wrong" else "")
         for subject, level, text in said
     )
     table = table_of("Modes before updating", report.modes, ModePreview)
-    return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, judged)
+    return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, items)
 
 
 def _finding(item: Finding) -> str:

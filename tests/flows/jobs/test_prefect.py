@@ -35,32 +35,32 @@ def from_last(campaign: Campaign) -> Campaign:
     return replace(campaign, update=campaign.update.model_copy(update={"start": "last"}))
 
 
-def test_a_key_of_a_sheet_is_one_that_prefect_takes() -> None:
-    assert artifacts.sheet_key("GARTEUR_wing.v2", "mac") == "garteur-wing-v2-mac"
+def test_artifact_keys_have_the_form_that_prefect_requires() -> None:
+    assert artifacts.artifact_key("GARTEUR_wing.v2", "mac") == "garteur-wing-v2-mac"
 
 
-def test_sheets_show_rounded_numbers_bounds_and_standard_errors(
+def test_artifacts_show_rounded_numbers_bounds_and_standard_errors(
     bench: Bench, watcher: Watcher
 ) -> None:
     record = ran(bench, bench.campaign(TRUTH, shapes=True), watcher)
-    sheets = {sheet.key: sheet for sheet in artifacts.result_sheets(record, bench.folder)}
-    assert set(sheets) == {
+    results = {item.key: item for item in artifacts.result_artifacts(record, bench.folder)}
+    assert set(results) == {
         f"chain-{kind}" for kind in ("frequencies", "parameters", "record", "mac")
     }
-    assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in sheets)
-    first = json.loads(str(sheets["chain-parameters"].data))[0]
+    assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in results)
+    first = json.loads(str(results["chain-parameters"].data))[0]
     assert (first["parameter"], first["parameter now"]) == ("k1", "1.2")
     assert first["bounds"] == "0.3, 3"
     assert float(first["standard error, of deck, %"]) > 0.0
-    modes = json.loads(str(sheets["chain-frequencies"].data))
+    modes = json.loads(str(results["chain-frequencies"].data))
     assert [row["test mode"] for row in modes] == ["1", "2", "3", "4", "5"]
     assert list(modes[0])[:3] == [
         "test mode",
         "test, Hz",
         "before, Hz",
     ]  # columns stay in this order
-    assert str(bench.folder / "campaign.h5") in str(sheets["chain-record"].data)
-    picture = str(sheets["chain-mac"].data)
+    assert str(bench.folder / "campaign.h5") in str(results["chain-record"].data)
+    picture = str(results["chain-mac"].data)
     assert picture.startswith("![MAC](data:image/png;base64,iVBOR")
     assert len(picture) < artifacts.LARGEST_PICTURE + 100
 
@@ -69,7 +69,9 @@ def test_there_is_no_mac_picture_where_no_shapes_were_measured(
     bench: Bench, watcher: Watcher
 ) -> None:
     record = ran(bench, bench.campaign(TRUTH), watcher)
-    assert not any("mac" in sheet.key for sheet in artifacts.result_sheets(record, bench.folder))
+    assert not any(
+        "mac" in artifact.key for artifact in artifacts.result_artifacts(record, bench.folder)
+    )
 
 
 def test_progress_is_the_tolerance_over_the_largest_error_and_ends_at_100(
@@ -78,8 +80,8 @@ def test_progress_is_the_tolerance_over_the_largest_error_and_ends_at_100(
     record = ran(bench, bench.campaign(TRUTH), watcher)
     start = record.iterations[0]
     half = Tolerances(frequency=0.5 * start.worst_error, mac=0.0)
-    assert artifacts.progress_sheets("chain", half, [start])[0].data == pytest.approx(50.0)
-    done = artifacts.progress_sheets("chain", Tolerances(1e-8, 0.0), record.iterations)
+    assert artifacts.progress_artifacts("chain", half, [start])[0].data == pytest.approx(50.0)
+    done = artifacts.progress_artifacts("chain", Tolerances(1e-8, 0.0), record.iterations)
     assert done[0].data == 100.0
     rows = json.loads(str(done[1].data))
     assert [row["iteration"] for row in rows] == [item.number for item in record.iterations]

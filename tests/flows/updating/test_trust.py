@@ -80,8 +80,8 @@ def test_an_update_that_e1_ends_early_says_where_its_standard_errors_hold(
     summed: Any = summary(early.record, early.folder)
     assert summed["ended_at"] == "good enough"
     assert summed["trust"]["ended_at"] == "good enough"
-    assert "well enough (e1), short of the least misfit" in page(early.record)
-    assert "agrees with its test, at the least misfit" in page(told.record)
+    assert "agrees with its test (e1), short of the minimum misfit" in page(early.record)
+    assert "agrees with its test, at the minimum misfit" in page(told.record)
 
 
 @pytest.mark.parametrize("truth", [TRUTH, {**TRUTH, "k5": 1.5}])
