@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,13 @@ MODULES = {
 }
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's syntax tree."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))))
+
+
+@cache
 def imports(path: Path, module: str = "") -> set[str]:
     """Full names of everything a file imports, wherever in it; relative ones resolved.
 
@@ -53,7 +61,7 @@ def imports(path: Path, module: str = "") -> set[str]:
     package = (module or module_name(path)).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -210,7 +218,7 @@ def test_only_a_translation_and_the_table_of_solvers_know_two_solvers(
 def test_a_class_name_has_one_meaning() -> None:
     homes: dict[str, list[str]] = {}
     for module, path in MODULES.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.ClassDef):
                 homes.setdefault(node.name, []).append(module)
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
@@ -218,15 +226,14 @@ def test_a_class_name_has_one_meaning() -> None:
 
 def messages(path: Path) -> set[str]:
     """The sentences of a file: its texts with a space, docstrings left out."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     docs = {
         id(node.value)
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     }
     return {
         node.value
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         if " " in node.value and id(node) not in docs
     }
@@ -304,7 +311,7 @@ def test_a_wheel_built_from_the_sdist_holds_every_module_and_runs(tmp_path: Path
     assert wanted - held == set()
     assert {"modetune/__init__.py", "modetune/py.typed"} <= held
 
-    options = ("--quiet", "--no-deps", "--no-index", "--target", str(place))
+    options = ("--quiet", "--no-deps", "--no-index", "--no-compile", "--target", str(place))
     succeeds(*python, "pip", "install", *options, str(wheel))
     where = "import modetune; print(modetune.__file__)"
     environment = os.environ | {"PYTHONPATH": str(place)}
