@@ -128,8 +128,8 @@ def commands(store: Store) -> None:
     key = next(store.entries()).name[:64]
     for command in (
         ["version"],
-        ["explain", key[:16], "--store", str(store.folder)],
-        ["store", "ls", "--store", str(store.folder)],
+        ["store", "explain", key[:16], "--store", str(store.folder)],
+        ["store", "list", "--store", str(store.folder)],
         ["store", "size", "--store", str(store.folder)],
         ["store", "prune", "--older", "1d", "--dry-run", "--store", str(store.folder)],
         ["store", "check", "--store", str(store.folder)],

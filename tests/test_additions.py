@@ -26,8 +26,8 @@ LINES = (
     ),
     (
         "flows/studies/catalogue.py",
-        '    "modes": ("modes", BEFORE),\n',
-        '    "spacing": ("spacing", BEFORE),\n',
+        '    "modes": ("modes", STUDY),\n',
+        '    "spacing": ("spacing", STUDY),\n',
     ),
     (
         "adapters/calculix/cards.py",

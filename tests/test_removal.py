@@ -67,7 +67,7 @@ def test_help_shows_the_other_commands(rest: Path) -> None:
 
 
 def test_the_schema_lacks_the_response_type(rest: Path) -> None:
-    schema = json.loads(succeeds(rest, "-m", "modetune", "schema"))
+    schema = json.loads(succeeds(rest, "-m", "modetune", "files", "schema"))
     text = json.dumps(schema)
     assert "StaticSection" not in text
     assert "FrfSection" in text

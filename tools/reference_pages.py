@@ -33,8 +33,8 @@ KEYS_HEAD = f"""{MADE}
 All keys of the campaign file; [the campaign file](campaign.md) explains them by topic. A key
 without a default is required, unless an alternative replaces it. The JSON schema for editors,
 [campaign.schema.json](campaign.schema.json), has the same keys; it comes from
-`modetune schema --out campaign.schema.json`. With this first line in a campaign, VS Code with its
-YAML extension completes keys and marks mistakes:
+`modetune files schema --out campaign.schema.json`. With this first line in a campaign, VS Code with
+its YAML extension completes keys and marks mistakes:
 
 ```yaml
 # yaml-language-server: $schema=campaign.schema.json
@@ -43,46 +43,54 @@ YAML extension completes keys and marks mistakes:
 COMMANDS_HEAD = f"""{MADE}
 # Commands
 
-By task; each command and its options are described below, and in `modetune COMMAND --help`.
+`modetune --help` lists the commands of a normal day, the studies, and four groups of further
+commands; `modetune GROUP --help` and `modetune COMMAND --help` describe one. Each command and its
+options are also below.
 
 ```
-# The test
-modetune pretest campaign.yaml     # choose places for sensors and exciters before the test
-modetune inspect lab.unv           # list the contents of a test file; --write converts it
-modetune identify lab.unv --out modes.csv    # identify modes from response functions
-# Before updating
+# A normal day
 modetune init deck.bdf lab.unv     # draft a campaign file for a deck and a test
+modetune identify lab.unv --out modes.csv    # identify modes from response functions
 modetune sensors campaign.yaml     # find the node and direction of each sensor
 modetune check campaign.yaml       # report every problem, then compare model and test
+modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
+modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used
+modetune view campaign.yaml        # follow the campaign in a browser
+modetune report runs/garteur       # write the report again, or its figures as PNG or SVG
+# Studies
+modetune pretest campaign.yaml     # choose sensor and exciter positions before the test
 modetune modes deck.bdf            # compute frequencies, rigid-body modes and mass of a deck
 modetune correlate campaign.yaml   # compare models, tests and runs: pairs, MAC, COMAC
 modetune screen campaign.yaml      # choose parameters among many candidates
-# Updating
-modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
-modetune view campaign.yaml        # follow the campaign in a browser
-modetune explain KEY               # describe a job, and its difference from the nearest result
-# Results
-modetune report runs/garteur       # write the report again, or its figures as PNG or SVG
-modetune paraview runs/garteur     # write the modes before and after updating for ParaView
-modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used
 modetune localise campaign.yaml    # locate modelling errors
 modetune sample campaign.yaml      # sample the posterior of the parameters
-modetune scatter campaign.yaml     # find how parameters vary among repeated tests
-# Whole matrices
-modetune expand campaign.yaml      # expand measured shapes to the whole mesh
-modetune reduce deck.bdf           # condense a model for other programs
-modetune direct model.yaml test.csv          # correct stiffness and mass matrices directly
-# Operation
-modetune deploy campaign.yaml      # put a study on a Prefect server, with a schedule
-modetune serve campaign.yaml       # deploy a campaign and run it in this process
-modetune worker                    # run deployed campaigns on this machine
-modetune server status             # show the Prefect server that commands share
-modetune store size                # show, check and shrink the store of results
+modetune scatter campaign.yaml     # estimate how parameters vary among repeated tests
 modetune check campaign.yaml --against campaign.h5     # reject a change that makes the deck worse
+# The model's matrices and solvers
+modetune model expand campaign.yaml          # expand measured shapes to the whole mesh
+modetune model reduce deck.bdf               # condense a model for other programs
+modetune model direct model.yaml test.csv    # correct stiffness and mass matrices directly
+modetune model twin campaign.yaml            # compare the same model on several solvers
+# Files
+modetune files inspect lab.unv               # list the contents of a test file, or convert it
+modetune files paraview runs/garteur         # write modes before and after updating for ParaView
+modetune files schema                        # print the JSON schema of campaign files
+# Unattended runs
+modetune server deploy campaign.yaml         # put a study on a Prefect server, with a schedule
+modetune server serve campaign.yaml          # deploy a study and run it in this process
+modetune server worker                       # run deployed campaigns on this machine
+modetune server status                       # show the Prefect server that commands share
+modetune server stop                         # stop that server
+# The store of results
+modetune store list                # list the stored results of solver jobs
+modetune store explain KEY         # describe a job, and its difference from the nearest result
+modetune store size                # show what takes space
+modetune store check               # find damaged results
+modetune store prune --older 30d   # remove results by age and size
+modetune store forget KEY          # remove the result of one job
+# This installation
 modetune doctor                    # test the installation and its solvers
-modetune twin campaign.yaml        # compare the same model on several solvers
-modetune schema                    # print the JSON schema of campaign files
-modetune demo six-mass             # run a case of the reference thesis
+modetune demo six-mass             # run a complete example
 ```
 
 Every command ends with one of these exit codes ([causes and remedies](errors.md)):

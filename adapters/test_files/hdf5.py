@@ -103,7 +103,7 @@ def read_test_hdf5(path: Path) -> Measurement:
     if title_of(data) != OWN_TITLE:
         raise CampaignError(
             f"test file {path} is not a test that modetune wrote as HDF5; write one with "
-            "`modetune inspect FILES --write OUT.h5`"
+            "`modetune files inspect FILES --write OUT.h5`"
         )
     if not holds(data, OWN_TITLE):
         raise CampaignError(

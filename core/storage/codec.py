@@ -1,4 +1,4 @@
-"""Frozen dataclasses as HDF5 and back, by their type hints: the form of all modetune files.
+"""Frozen dataclasses as HDF5 and back, by their type hints: the form of our own files.
 
 A dataclass is a group, and each of its fields a member of the field's name:
 

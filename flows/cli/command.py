@@ -98,7 +98,7 @@ def parse_options(study: Study, words: Sequence[str]) -> dict[str, Any]:
     if refused := next((given[name] for name in NOT_THERE if name in given), None):
         raise CampaignError(
             f"--study {shlex.join([study.name, *words])!r}: {refused.opts[0]} is not part of a "
-            "study; `--set` and `--runs` are options of deploy and serve themselves"
+            "study; `--set` and `--runs` are options of server deploy and serve themselves"
         )
     typed = {item.name: context.params[item.name] for item in others if item.name in given}
     checked = study.checked(_parameters(study, {first.name: first.name, **typed}))

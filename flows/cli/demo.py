@@ -43,7 +43,7 @@ def demo(
     ] = "garteur",
     as_json: AsJson = False,
 ) -> None:
-    """Run a case of the reference thesis, or a laboratory test, from start to finish in ./demo."""
+    """Run a complete example in ./demo: a case of the thesis, or a laboratory test."""
     with show_progress(f"preparing the case {case}"):
         from modetune.configs.cases import write_case
         from modetune.flows.report.terminal import terminal

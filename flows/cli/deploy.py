@@ -1,4 +1,4 @@
-"""`modetune deploy`: a study of a campaign on a Prefect server."""
+"""`modetune server deploy`: a study of a campaign on a Prefect server."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ def deploy(
     runs: Runs = Path("runs"),
     as_json: AsJson = False,
 ) -> None:
-    """Deploy a study of the campaign on a Prefect server, for workers to run on a schedule or on
-    demand."""
+    """Deploy a study of the campaign on a Prefect server, on a schedule or on demand."""
     chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
     name = name or own_name
     with serving() as server:
@@ -50,7 +49,7 @@ def deploy(
     when = f"at `{cron}` ({timezone})" if cron else "when asked"
     typer.echo(
         f"deployed as {summary['deployment']} on {server.pages}; it runs {when}, once a worker is "
-        f"there:\n  modetune worker --pool {pool}"
+        f"there:\n  modetune server worker --pool {pool}"
     )
 
 

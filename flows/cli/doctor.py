@@ -41,7 +41,7 @@ def doctor(
     file: Sent = Path("modetune-doctor.json"),
     as_json: AsJson = False,
 ) -> None:
-    """Examine the installation, and test the solver features that campaigns need.
+    """Test the installation, and the solver features that campaigns need.
 
     Tests a commercial solver only if you name it, because that takes a licence. Stores the tests
     that it passes; from then on `auto` uses those features. Exit code 4 if a test failed.

@@ -1,4 +1,4 @@
-"""`modetune explain`: what a job is, and why it was or would be run.
+"""`modetune store explain`: what a job is, and why it was or would be run.
 
 Heavy packages are imported where they are needed.
 """

@@ -66,10 +66,11 @@ def identify(
     figures: Figures = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify modes from response functions or time histories, and write them as a test file.
+    """Identify modes from response functions or time histories.
 
-    Converts time histories with a measured force to response functions first. From responses alone
-    it identifies modes by their covariances, without the scale of the shapes.
+    Writes them to a test file. Converts time histories with a measured force to response functions
+    first. From responses alone, it identifies modes by their covariances; the shapes then have no
+    scale.
     """
     with (
         stoppable("stopped; the same command starts from the beginning"),

@@ -32,7 +32,7 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draft a campaign file for a deck: test, sensors and candidate parameters, with reasons."""
+    """Draft a campaign file for a deck, with its test, sensors and parameters."""
     with (
         stoppable("stopped; the same command starts from the beginning"),
         show_progress(f"reading {deck}"),

@@ -22,35 +22,51 @@ from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
 from types import EllipsisType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from modetune import __version__
 from modetune.core.errors import ModetuneError
-from modetune.flows.studies.catalogue import (
-    BEFORE,
-    HERE,
-    MATRICES,
-    STUDIES,
-    TEST,
-    TRUST,
-    UPDATING,
-    find_study,
-)
+from modetune.flows.studies.catalogue import DAY, MODEL, STUDIES, STUDY, find_study
 
-#: Commands in the order of a campaign's life, under the headings of `--help`; `...` is the place of
-#: the heading's studies. A study's command is derived from its definition, any other is in the
-#: module of its name.
+#: Commands under the headings of `--help`; `...` is the place of the heading's studies. A study's
+#: command is derived from its definition, any other is in the module of its name.
 HEADINGS: dict[str, tuple[str | EllipsisType, ...]] = {
-    TEST: (..., "inspect", "identify", "sensors"),
-    BEFORE: ("init", ...),
-    UPDATING: (..., "view", "explain"),
-    MATRICES: (...,),
-    TRUST: (...,),
-    "Results": ("report", "paraview"),
-    "Unattended": ("deploy", "serve", "worker", "server"),
-    HERE: ("demo", "doctor", ..., "schema", "store"),
+    DAY: ("init", "identify", "sensors", ..., "view", "report"),
+    STUDY: (...,),
+    "Installation, and groups of commands": (MODEL, "files", "server", "store", "doctor", "demo"),
+}
+#: Groups: what they do, and their commands; `MODULE.NAME` is one of several in a module.
+GROUPS: dict[str, tuple[str, tuple[str | EllipsisType, ...]]] = {
+    MODEL: ("Expand shapes, reduce or correct matrices, compare solvers.", (...,)),
+    "files": (
+        "Inspect and convert test files, write ParaView files and the schema.",
+        ("inspect", "paraview", "schema"),
+    ),
+    "server": (
+        "Run campaigns unattended: Prefect deployments, workers, the shared server.",
+        ("deploy", "serve", "worker", "server.status", "server.stop"),
+    ),
+    "store": (
+        "List, explain, check and prune the stored results of solver jobs.",
+        ("store.list", "explain", "store.size", "store.check", "store.prune", "store.forget"),
+    ),
+}
+#: Spellings of version 0.1, which work for one more release, and what replaces them.
+OLD_SPELLINGS = {
+    "deploy": "server deploy",
+    "direct": "model direct",
+    "expand": "model expand",
+    "explain": "store explain",
+    "inspect": "files inspect",
+    "paraview": "files paraview",
+    "reduce": "model reduce",
+    "schema": "files schema",
+    "serve": "server serve",
+    "store ls": "store list",
+    "twin": "model twin",
+    "worker": "server worker",
 }
 #: The extra of `modetune[...]` that brings a package; a cluster's packages report themselves.
 EXTRAS = {
@@ -79,45 +95,73 @@ def _modetune(
     """Finite element models that agree with vibration tests."""
 
 
-def command_line(only: str = "") -> typer.Typer:
-    """Return the command line, with one command where `only` is the name of one.
+def command_line(first: str = "", second: str = "") -> typer.Typer:
+    """Return the command line; where the first words name a command or a group, only that.
 
     The modules of all commands take a moment to import.
     """
     app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
     app.callback()(_modetune)
-    commands = [(name, heading) for heading in HEADINGS for name in _names(heading)]
-    for name, heading in [item for item in commands if item[0] == only] or commands:
-        command = _command(name)
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name, rich_help_panel=heading)
-            continue
-        paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
-        # Typer keeps line ends; a paragraph in one line is wrapped at the terminal's width.
-        text = "\n\n".join(" ".join(part.split()) for part in paragraphs)
-        app.command(rich_help_panel=heading, help=text)(command)
+    entries = [(item, heading) for heading in HEADINGS for item in _entries(heading)]
+    for item, heading in [entry for entry in entries if entry[0] == first] or entries:
+        if item in GROUPS:
+            app.add_typer(_group(item, second), name=item, rich_help_panel=heading)
+        else:
+            _add(app, item, heading)
     return app
 
 
-def _names(heading: str) -> list[str]:
-    """Return the commands under a heading, with its studies at their place."""
-    studies = [name for name, (_, of) in STUDIES.items() if of == heading]
-    found = [[item] if isinstance(item, str) else studies for item in HEADINGS[heading]]
+def _group(name: str, only: str) -> typer.Typer:
+    """Return a group of commands, with one command where `only` is the name of one."""
+    group = typer.Typer(help=GROUPS[name][0], no_args_is_help=True)
+    entries = _entries(name)
+    for item in [item for item in entries if item.rpartition(".")[2] == only] or entries:
+        _add(group, item, name)
+    return group
+
+
+def _entries(place: str) -> list[str]:
+    """Return the entries of a heading or a group, with its studies at their place."""
+    entries = GROUPS[place][1] if place in GROUPS else HEADINGS[place]
+    studies = [name for name, (_, where) in STUDIES.items() if where == place]
+    found = [[item] if isinstance(item, str) else studies for item in entries]
     return [name for names in found for name in names]
 
 
-def _command(name: str) -> Callable[..., None] | typer.Typer:
-    """Return the command, or the group of commands, of this name."""
-    if name in STUDIES:
-        from modetune.flows.cli.command import command_of
-        from modetune.flows.cli.update import show_dry_run
+def _add(app: typer.Typer, item: str, place: str) -> None:
+    """Add a command under a heading or to a group."""
+    module, _, name = item.rpartition(".")
+    command = _study_command(item) if item in STUDIES else _function(module, name)
+    paragraphs = cleandoc(command.__doc__ or "").split("\n\n")
+    # Typer keeps line ends; a paragraph in one line is wrapped at the terminal's width.
+    text = "\n\n".join(" ".join(part.split()) for part in paragraphs)
+    panel = None if place in GROUPS else place
+    app.command(name, rich_help_panel=panel, help=text)(command)
 
-        return command_of(find_study(name), show_dry_run if name == "update" else None)
-    module = import_module(f"modetune.flows.cli.{name}")
-    found: Callable[..., None] | typer.Typer = getattr(module, f"{name}_app", None) or getattr(
-        module, name
-    )
-    return found
+
+def _study_command(name: str) -> Callable[..., None]:
+    from modetune.flows.cli.command import command_of
+    from modetune.flows.cli.update import show_dry_run
+
+    return command_of(find_study(name), show_dry_run if name == "update" else None)
+
+
+def _function(module: str, name: str) -> Callable[..., None]:
+    found = import_module(f"modetune.flows.cli.{module or name}")
+    command: Callable[..., None] = getattr(found, f"{module}_{name}" if module else name)
+    return command
+
+
+def _current(words: list[str]) -> list[str]:
+    """Return the words of a command line in today's spelling, with a warning about an old one."""
+    for old, new in OLD_SPELLINGS.items():
+        length = len(old.split())
+        if words[:length] == old.split():
+            _print_error(
+                f"`modetune {old}` is now `modetune {new}`; the next release drops the old spelling"
+            )
+            return [*new.split(), *words[length:]]
+    return words
 
 
 def __getattr__(name: str) -> typer.Typer:
@@ -147,7 +191,11 @@ def main() -> None:
     atexit.register(gc.freeze)  # ... and never when the process ends
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
     try:
-        command_line(*sys.argv[1:2])(standalone_mode=True)
+        sys.argv[1:] = _current(sys.argv[1:])
+        command: Any = typer.main.get_command(command_line(*sys.argv[1:3]))
+        for item in command.params:  # a line of help for each of two options of shells is too much
+            item.hidden = item.hidden or item.name == "show_completion"
+        command(prog_name="modetune")
     except ModetuneError as error:
         _fail(str(error), error.exit_code)
     except BrokenPipeError:
@@ -170,7 +218,11 @@ def main() -> None:
 
 def _fail(reason: str, code: int) -> None:
     reason = reason.replace(f"{Path.cwd()}{os.sep}", "")  # paths as people type them
-    typer.echo(f"modetune: {reason}", err=True)
+    _print_error(reason)
     if "--json" in sys.argv:
         typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))
     raise SystemExit(code)
+
+
+def _print_error(text: str) -> None:
+    typer.echo(f"modetune: {text}", err=True)

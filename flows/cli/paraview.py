@@ -1,4 +1,4 @@
-"""`modetune paraview`: modes before and after updating as files for ParaView.
+"""`modetune files paraview`: modes before and after updating as files for ParaView.
 
 Heavy packages are imported where they are needed.
 """

@@ -27,7 +27,7 @@ def report(
     ] = "png",
     as_json: AsJson = False,
 ) -> None:
-    """Write a campaign's report: one HTML file that needs no network, and pictures on request."""
+    """Write the report of an update: one HTML file, and pictures on request."""
     with show_progress(f"reading {record}") as tell:
         from modetune.core.storage.campaign_record import read_record
         from modetune.flows.report.page import write_page

@@ -1,4 +1,4 @@
-"""`modetune schema`: the campaign file's JSON schema."""
+"""`modetune files schema`: the campaign file's JSON schema."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def schema(
         Path | None, typer.Option(help="File to write; default: standard output.")
     ] = None,
 ) -> None:
-    """Print the JSON schema of campaign files, with which editors complete and check them."""
+    """Print the JSON schema of campaign files, for completion in editors."""
     from modetune.flows.campaign.schema import schema_text
 
     text = schema_text()

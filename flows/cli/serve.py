@@ -1,4 +1,4 @@
-"""`modetune serve`: a study of a campaign on a schedule, from this process."""
+"""`modetune server serve`: a study of a campaign on a schedule, from this process."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ def serve(
     runs: Runs = Path("runs"),
     without_login: WithoutLogin = False,
 ) -> None:
-    """Deploy the campaign and run it from its own work pool in this process, until Ctrl-C."""
+    """Deploy a study of the campaign and run it in this process, until Ctrl-C.
+
+    The deployment gets its own work pool.
+    """
     chosen, parameters, own_name = deployable(study, campaign_file, settings, runs)
     name = name or own_name
     os.environ.update(POLL)

@@ -14,10 +14,6 @@ from modetune.core.errors import ModetuneError
 if TYPE_CHECKING:
     from modetune.flows.jobs.prefect_server import SharedServer
 
-server_app = typer.Typer(
-    help="Show or stop the Prefect server that commands share.", no_args_is_help=True
-)
-
 CronLine = Annotated[
     str | None, typer.Option("--cron", help="Schedule: minute hour day month weekday.")
 ]
@@ -47,7 +43,6 @@ POOL = "modetune"
 POLL = {"PREFECT_WORKER_QUERY_SECONDS": "5", "PREFECT_WORKER_HEARTBEAT_SECONDS": "10"}
 
 
-@server_app.command("status")
 def server_status() -> None:
     """Show whether the shared server runs, and the address of its pages."""
     from modetune.flows.jobs import prefect_server as process
@@ -63,7 +58,6 @@ def server_status() -> None:
     )
 
 
-@server_app.command("stop")
 def server_stop() -> None:
     """Stop the shared server."""
     from modetune.flows.jobs import prefect_server as process

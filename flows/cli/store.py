@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from modetune.flows.jobs.store_files import StoreFile
     from modetune.flows.jobs.store_index import IndexedEntry, Order
 
-store_app = typer.Typer(help="Show, check and shrink the store of results.", no_args_is_help=True)
-
 AGES_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
 SIZES = {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
 #: Digits of a key that are shown.
@@ -71,8 +69,7 @@ class SumRow:
     wall_s: Annotated[float, Column("took", "s", ".4g")]
 
 
-@store_app.command("ls")
-def store_ls(
+def store_list(
     store: StorePlace = None,
     by: Annotated[By, typer.Option(help="Which results come first.")] = By.newest,
     older: Older = None,
@@ -95,10 +92,8 @@ def store_ls(
     print_result(told, [table_of("", rows, EntryRow), *none], as_json)
 
 
-@store_app.command("size")
 def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
-    """Show the size of results by solver, model and analysis, and of everything else in the
-    store."""
+    """Show the size of the store by solver, model and analysis."""
     from modetune.flows.jobs.store_files import beside
     from modetune.flows.jobs.store_index import ask_index
 
@@ -132,11 +127,10 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
     print_result(told, [table_of("", rows, SumRow), said], as_json)
 
 
-@store_app.command("check")
 def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
-    """Read every result and report damaged ones, which are set aside and computed again.
+    """Read every result, and set damaged ones aside.
 
-    Exit code 5 if any result was damaged.
+    modetune computes them again when needed. Exit code 5 if any result was damaged.
     """
     from modetune.flows.jobs.store_files import check
 
@@ -151,7 +145,6 @@ def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
         raise typer.Exit(StoreDamaged.exit_code)
 
 
-@store_app.command("prune")
 def store_prune(
     store: StorePlace = None,
     older: Older = None,
@@ -164,7 +157,7 @@ def store_prune(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Remove leftovers of killed runs, and anything older and larger than given.
+    """Remove leftovers of killed runs, and results by age and size.
 
     --older and --larger apply to results, folders of failed and kept jobs, damaged results and
     texts of decks; if both are given, both must hold. Without them only leftovers are removed and,
@@ -184,7 +177,6 @@ def store_prune(
         typer.echo(f"results stay: {running} running campaign(s) may need them", err=True)
 
 
-@store_app.command("forget")
 def store_forget(
     key: Annotated[str, typer.Argument(help="First characters of a job's key, or a job's folder.")],
     store: StorePlace = None,

@@ -21,7 +21,7 @@ def view(
         bool, typer.Option("--open", help="Also open the page in the browser.")
     ] = False,
 ) -> None:
-    """Show the campaign live in a browser, where you can set pairs, poles and sensors."""
+    """Show the campaign live in a browser, and set pairs, poles and sensors there."""
     from modetune.flows.studies.view.server import serve_view
 
     def opened(address: str) -> None:

@@ -1,4 +1,4 @@
-"""`modetune worker`: deployed campaigns run on this machine."""
+"""`modetune server worker`: deployed campaigns run on this machine."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def worker(
     once: Annotated[bool, typer.Option("--once", help="Run what is due now, then stop.")] = False,
     without_login: WithoutLogin = False,
 ) -> None:
-    """Run deployed campaigns of a work pool on this machine, until Ctrl-C."""
+    """Run the deployed campaigns of a work pool on this machine, until Ctrl-C."""
     os.environ.update(POLL)
     with stoppable("the worker has ended; runs that are due wait for the next one"):
         with serving() as server:

@@ -44,7 +44,7 @@ from modetune.flows.jobs.tasks import StudyRun, running_with
 from modetune.flows.jobs.work import Runner
 from modetune.flows.server.artifacts import files_artifact, result_artifacts, table_artifact
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
-from modetune.flows.studies.catalogue import STUDIES, find_study
+from modetune.flows.studies.catalogue import STUDIES, find_study, shell_command
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study, StudyContext
 from modetune.flows.updating.forecast import Progress, Unwatched
@@ -238,7 +238,7 @@ def _carried(
         if flow_run.name != opened.name:
             _rename(flow_run, opened.name)
         if flow_run.deployment_id is None:  # the pages have no button for such a run
-            page.log(f"to repeat this run: {study.command_line(parameters)}")
+            page.log(f"to repeat this run: {shell_command(study, parameters)}")
             page.log(f"to cancel this run: prefect flow-run cancel {flow_run.id}")
         on = replace(opened, progress=progress, scheduled=flow_run.deployment_id is not None)
         progress.name = on.name

@@ -7,8 +7,8 @@ run is a process with a fixed command (`deployed.py`). A run whose process ends 
 state, here or on another machine, is marked as crashed, so that the next one can start. A server
 that is gone is waited for.
 
-`modetune worker` and `prefect worker start --type modetune` both run it; the latter takes the
-folders from MODETUNE_FOLDERS.
+`modetune server worker` and `prefect worker start --type modetune` both run it; the latter takes
+the folders from MODETUNE_FOLDERS.
 """
 
 from __future__ import annotations

@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping
 from importlib import import_module
+from typing import Any
 
 from modetune.core.errors import CampaignError
 from modetune.flows.studies.study import Study
 
-#: Headings of `modetune --help` that have studies.
-TEST, BEFORE, UPDATING = "The test", "Model and test, before updating", "Updating"
-MATRICES, TRUST, HERE = "Whole matrices", "Trust in the result", "This installation"
-#: Each study in the order of a campaign's life: the module below `flows/studies` that defines it,
-#: and its heading. To remove a study, delete its folder or file and its line here.
+#: Headings of `modetune --help` that have studies, and a group of commands.
+DAY, STUDY, MODEL = "A normal day", "Studies", "model"
+#: Each study: the module below `flows/studies` that defines it, and its heading or group. To remove
+#: a study, delete its folder or file and its line here.
 STUDIES = {
-    "pretest": ("pretest.study", TEST),
-    "check": ("check.study", BEFORE),
-    "modes": ("modes", BEFORE),
-    "correlate": ("correlate.study", BEFORE),
-    "screen": ("screen.study", BEFORE),
-    "localise": ("localise.study", BEFORE),
-    "update": ("update", UPDATING),
-    "expand": ("expand.study", MATRICES),
-    "reduce": ("reduce.study", MATRICES),
-    "direct": ("direct.study", MATRICES),
-    "validate": ("validate.study", TRUST),
-    "sample": ("sample.study", TRUST),
-    "scatter": ("scatter.study", TRUST),
-    "twin": ("twin.study", HERE),
+    "pretest": ("pretest.study", STUDY),
+    "check": ("check.study", DAY),
+    "modes": ("modes", STUDY),
+    "correlate": ("correlate.study", STUDY),
+    "screen": ("screen.study", STUDY),
+    "localise": ("localise.study", STUDY),
+    "update": ("update", DAY),
+    "expand": ("expand.study", MODEL),
+    "reduce": ("reduce.study", MODEL),
+    "direct": ("direct.study", MODEL),
+    "validate": ("validate.study", DAY),
+    "sample": ("sample.study", STUDY),
+    "scatter": ("scatter.study", STUDY),
+    "twin": ("twin.study", MODEL),
 }
 
 
@@ -36,3 +38,12 @@ def find_study(name: str) -> Study:
         raise CampaignError(f"{name!r} is not a study: expected one of {', '.join(STUDIES)}")
     found: Study = getattr(import_module(f"modetune.flows.studies.{STUDIES[name][0]}"), name)
     return found
+
+
+def shell_command(study: Study, parameters: Mapping[str, Any]) -> str:
+    """Return the command that runs a study with these parameters, from any folder.
+
+    Raises CampaignError.
+    """
+    group = [MODEL] * (STUDIES[study.name][1] == MODEL)
+    return shlex.join(["modetune", *group, study.name, *study.words(parameters)])

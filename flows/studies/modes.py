@@ -19,7 +19,7 @@ def modes(
         int | None, typer.Option(min=1, help="Number of modes, including rigid-body modes.")
     ] = None,
 ) -> StudyResult:
-    """Compute the modes of a campaign's model or of a deck, at its own values or those of --at."""
+    """Compute the modes of a campaign's model or of a deck."""
     from modetune.flows.campaign.units import KILOGRAMS
     from modetune.flows.updating.mode_source import model_modes
 

@@ -16,7 +16,6 @@ Nothing heavy is imported here, because the command line reads these definitions
 from __future__ import annotations
 
 import inspect
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, is_dataclass
@@ -497,14 +496,13 @@ class Study:
             raise CampaignError(problems)
         return values
 
-    def command_line(self, parameters: Mapping[str, Any]) -> str:
-        """Return the command that runs the study with these parameters, from any folder.
+    def words(self, parameters: Mapping[str, Any]) -> list[str]:
+        """Return the words that give its command these parameters, from any folder.
 
         Raises CampaignError.
         """
         checked = self.checked(parameters)
-        words = [word for item in self.fields for word in item.words(checked[item.name])]
-        return shlex.join(["modetune", self.name, *words])
+        return [word for item in self.fields for word in item.words(checked[item.name])]
 
     def solves(self, parameters: Mapping[str, Any]) -> bool:
         """Whether a solver may run with these parameters. Raises CampaignError."""

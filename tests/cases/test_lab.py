@@ -80,7 +80,7 @@ def test_a_lab_file_becomes_an_updated_model_with_report_and_pictures(lab: Path)
         assert record.updated[place] == pytest.approx(TRUTH[name[2:].upper()], rel=0.02)
     page = (lab / "runs" / "garteur-lab" / "report.html").read_text(encoding="utf-8")
     assert 'id="responses"' in page  # the lab's own functions beside those of both models
-    series = modetune(lab, "paraview", "runs/garteur-lab", "--out", "paraview")
+    series = modetune(lab, "files", "paraview", "runs/garteur-lab", "--out", "paraview")
     assert series["status"] == "good"
     assert sorted(path.name for path in (lab / "paraview").glob("*.pvd")) == [
         "initial.pvd",

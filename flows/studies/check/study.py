@@ -103,7 +103,7 @@ def check(
         Path | None, typer.Option(help="Write the findings as a JUnit report (XML).")
     ] = None,
 ) -> StudyResult:
-    """Check campaign, test and model before updating, with the jobs that updating runs first.
+    """Check campaign, test and model, with the jobs that updating runs first.
 
     Accepts a deck instead of a campaign file, alone or with the files of its test. With --against,
     solves the model at the deck's values and compares it with a baseline.

@@ -1,4 +1,4 @@
-"""Corrections of whole matrices from measured modes, and what they break: `modetune direct`.
+"""Corrections of whole matrices from measured modes, and what they break: `modetune model direct`.
 
 Direct methods reproduce the test at once, and know nothing of springs and plates. What a user has
 to know before a corrected matrix is used: where it couples unknowns that no element joins, how much
@@ -6,7 +6,7 @@ of it is at unknowns that were not measured, whether it is still a stiffness and
 eigenvalue), whether rigid motion costs energy now, and which modes that were not measured moved.
 
 The corrected matrices are full, so that their model has to be small: a large one is reduced to its
-sensors first (`modetune reduce --out FILE.yaml`), as the field does.
+sensors first (`modetune model reduce --out FILE.yaml`), as the field does.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def _subject(campaign: Campaign, values: Values) -> _Subject:
     if n > MOST:
         raise CampaignError(
             f"{campaign.name} has {n} unknowns, and direct methods fill whole matrices: {MOST} is "
-            "the most; reduce it first (`modetune reduce --out reduced.yaml`) and name that"
+            "the most; reduce it first (`modetune model reduce --out reduced.yaml`) and name that"
         )
     wanted = by_sensors(model)
     seen, moving = model.seen(wanted, names)

@@ -1,4 +1,4 @@
-"""`modetune direct`: matrices corrected directly from measured modes, and what that breaks."""
+"""`modetune model direct`: direct correction of stiffness and mass matrices."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ def direct(
         typer.Option(help="File for the corrected matrices: .npz, .op4, .bdf (DMIG) or .yaml."),
     ] = None,
 ) -> StudyResult:
-    """Correct stiffness and mass matrices directly, and report what the correction breaks in
-    them."""
+    """Correct stiffness and mass matrices directly, and report what that breaks."""
     from modetune.adapters.matrices.export import check_form, write_matrices
     from modetune.flows.studies.direct.correction import CorrectedMode, correct_directly
 

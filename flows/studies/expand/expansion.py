@@ -1,4 +1,4 @@
-"""Measured shapes on the whole mesh, by several methods side by side: `modetune expand`.
+"""Measured shapes on the whole mesh, by several methods side by side: `modetune model expand`.
 
 The test itself selects the method: each sensor is held out once, a tenth of the test
 points at a time, and filled from the others as unmeasured freedoms are. The error there is that of

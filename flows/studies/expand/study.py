@@ -1,4 +1,4 @@
-"""`modetune expand`: measured shapes on the whole mesh."""
+"""`modetune model expand`: measured shapes on the whole mesh."""
 
 from __future__ import annotations
 

@@ -48,10 +48,10 @@ def localise(
         str | None, typer.Option(help="Configuration to examine, if the campaign has several.")
     ] = None,
 ) -> StudyResult:
-    """Locate modelling errors: maps of the error, the part that each parameter can remove, and
-    whether any parameters can.
+    """Locate modelling errors, and rank the parameters that can remove them.
 
-    Examines the initial model of the campaign, or with --record the updated one.
+    Maps the error of the campaign's initial model, or with --record of the updated one, and reports
+    whether any parameters can remove it.
     """
     from modetune.flows.studies.localise.localisation import localise as find
     from modetune.flows.studies.localise.localisation import one_model

@@ -1,4 +1,4 @@
-"""A model condensed to a few of its unknowns: the Python API of `modetune reduce`."""
+"""A model condensed to a few of its unknowns: the Python API of `modetune model reduce`."""
 
 from __future__ import annotations
 

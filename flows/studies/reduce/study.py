@@ -1,4 +1,4 @@
-"""`modetune reduce`: a model condensed to a few of its unknowns, for other programs."""
+"""`modetune model reduce`: a model condensed to a few of its unknowns, for other programs."""
 
 from __future__ import annotations
 

@@ -21,10 +21,11 @@ Record = Annotated[
 
 @study(RunOptions)
 def sample(on: StudyContext, request: SamplingRequest, record: Record = None) -> StudyResult:
-    """Sample the posterior of the parameters, including bounds, nonlinearity and second solutions.
+    """Sample the posterior of the parameters.
 
-    Writes posterior.h5 to the campaign's run folder. Repeating the same sampling runs no solver.
-    Exit code 3 if the posterior is not reliable.
+    The posterior includes bounds, nonlinearity and second solutions. Writes posterior.h5 to the
+    campaign's run folder. Repeating the same sampling runs no solver. Exit code 3 if the posterior
+    is not reliable.
     """
     from modetune.core.storage.campaign_record import read_record
     from modetune.flows.studies.sample.figures import posterior_figures

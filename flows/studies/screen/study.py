@@ -19,10 +19,10 @@ Out = Annotated[
 
 @study(RunOptions)
 def screen(on: StudyContext, request: ScreeningRequest, out: Out = None) -> StudyResult:
-    """Screen candidate parameters, and propose which of them to update, with a reason for each.
+    """Screen candidate parameters, and propose which of them to update.
 
-    Writes screening.h5 to the campaign's run folder, and screening.json with --json. Repeating the
-    same screening runs no solver.
+    Gives a reason for each. Writes screening.h5 to the campaign's run folder, and screening.json
+    with --json. Repeating the same screening runs no solver.
     """
     from modetune.flows.studies.screen.figures import screening_charts
     from modetune.flows.studies.screen.proposal import check_out, write_proposal

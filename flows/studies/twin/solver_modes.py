@@ -1,4 +1,4 @@
-"""One model on several solvers: the Python API of `modetune twin`.
+"""One model on several solvers: the Python API of `modetune model twin`.
 
 The modal analysis of a campaign runs on each solver that is there, and the modes of each are
 paired with those of the first by shape. Frequencies side by side with MAC between the solvers'

@@ -1,4 +1,4 @@
-"""`modetune twin`: one model on several solvers."""
+"""`modetune model twin`: one model on several solvers."""
 
 from __future__ import annotations
 

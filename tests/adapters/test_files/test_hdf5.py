@@ -78,7 +78,7 @@ def test_a_file_that_is_cut_short_is_refused(tmp_path: Path, size: int) -> None:
 def test_an_hdf5_file_of_another_program_is_refused_with_the_remedy(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "t.h5", "w") as file:
         file["frequencies"] = [1.0]
-    with pytest.raises(CampaignError, match=r"modetune inspect FILES --write OUT\.h5"):
+    with pytest.raises(CampaignError, match=r"modetune files inspect FILES --write OUT\.h5"):
         read_test_hdf5(tmp_path / "t.h5")
 
 

@@ -1,4 +1,4 @@
-"""`modetune inspect` as a user meets it."""
+"""`modetune files inspect` as a user meets it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_file(tmp_path: Path) -> Path:
 
 
 def run(*arguments: str | Path) -> str:
-    result = CliRunner().invoke(app, ["inspect", *map(str, arguments)])
+    result = CliRunner().invoke(app, ["files", "inspect", *map(str, arguments)])
     if result.exception is not None:
         raise result.exception
     return result.stdout

@@ -30,7 +30,7 @@ def told(folder: Path, *arguments: str) -> Any:
 
 
 def test_results_are_listed_and_summed(folder: Path) -> None:
-    results = told(folder, "ls")["results"]
+    results = told(folder, "list")["results"]
     store = Store(folder / "store")
     assert {item["key"] for item in results} == {
         path.name.partition(".")[0] for path in store.entries()
@@ -39,9 +39,9 @@ def test_results_are_listed_and_summed(folder: Path) -> None:
     assert (first["solver"], first["model"]) == ("scripted", "chain")
     assert first["size_bytes"] == store.path(first["key"]).stat().st_size
     assert [
-        item["key"] for item in told(folder, "ls", "--by", "oldest", "--limit", "1")["results"]
+        item["key"] for item in told(folder, "list", "--by", "oldest", "--limit", "1")["results"]
     ] == [first["key"]]
-    sizes = [item["size_bytes"] for item in told(folder, "ls", "--by", "largest")["results"]]
+    sizes = [item["size_bytes"] for item in told(folder, "list", "--by", "largest")["results"]]
     assert sizes == sorted(sizes, reverse=True)
     summed = told(folder, "size")
     solved = [item for item in summed["holds"] if item["solver"]]
@@ -53,7 +53,7 @@ def test_results_are_listed_and_summed(folder: Path) -> None:
 
 
 def test_a_damaged_result_is_told_by_check_with_code_5(folder: Path) -> None:
-    count = len(told(folder, "ls")["results"])
+    count = len(told(folder, "list")["results"])
     assert told(folder, "check") == {"store": "store", "whole": count, "damaged": []}
     path = next(Store(folder / "store").entries())
     data = bytearray(path.read_bytes())
@@ -66,23 +66,23 @@ def test_a_damaged_result_is_told_by_check_with_code_5(folder: Path) -> None:
 
 
 def test_pruning_tells_first_and_removes_then(folder: Path) -> None:
-    count = len(told(folder, "ls")["results"])
+    count = len(told(folder, "list")["results"])
     planned = told(folder, "prune", "--older", "0s", "--dry-run")
     assert sum(item["what"] == "result" for item in planned["removed"]) == count
-    assert len(told(folder, "ls")["results"]) == count
+    assert len(told(folder, "list")["results"]) == count
     assert told(folder, "prune", "--older", "1h")["size_bytes"] == 0
-    assert len(told(folder, "ls")["results"]) == count
+    assert len(told(folder, "list")["results"]) == count
     told(folder, "prune", "--older", "0s")
-    assert told(folder, "ls")["results"] == []
+    assert told(folder, "list")["results"] == []
     assert run(folder, "store", "prune", "--store", "store").stdout == "nothing to remove\n"
 
 
 def test_one_result_is_forgotten_by_the_start_of_its_key(folder: Path) -> None:
-    results = told(folder, "ls")["results"]
+    results = told(folder, "list")["results"]
     key = results[0]["key"]
     (gone,) = told(folder, "forget", key[:12])["removed"]
     assert gone["key"] == key
-    assert {item["key"] for item in told(folder, "ls")["results"]} == {
+    assert {item["key"] for item in told(folder, "list")["results"]} == {
         item["key"] for item in results[1:]
     }
     again = run(folder, "store", "forget", key[:12], "--store", "store")
@@ -91,12 +91,12 @@ def test_one_result_is_forgotten_by_the_start_of_its_key(folder: Path) -> None:
 
 
 def test_results_stay_for_a_campaign_that_runs_and_that_is_told(folder: Path) -> None:
-    count = len(told(folder, "ls")["results"])
+    count = len(told(folder, "list")["results"])
     with in_use(Store(folder / "store")):
         ended = run(folder, "store", "prune", "--older", "0s", "--store", "store")
         assert ended.stderr == "results stay: 1 running campaign(s) may need them\n"
-    assert len(told(folder, "ls")["results"]) == count
-    shown = run(folder, "store", "ls", "--store", "store").stdout
+    assert len(told(folder, "list")["results"]) == count
+    shown = run(folder, "store", "list", "--store", "store").stdout
     assert "written ago" in shown
     assert " kB" in shown
 
@@ -104,7 +104,7 @@ def test_results_stay_for_a_campaign_that_runs_and_that_is_told(folder: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["ls", "--store", "none"], "none is not there"),
+        (["list", "--store", "none"], "none is not there"),
         (["prune", "--older", "30"], "'30' is not an age: expected a number and one of s, min"),
         (["prune", "--larger", "10 elephants"], "is not a size"),
         (["forget", "xyz"], "is not a key"),

@@ -50,7 +50,7 @@ class Site:
         self._cores = ExitStack()
         for name in (*process.FOREIGN, "MODETUNE_NO_PREFECT"):
             self.environment.pop(name, None)
-        deployed = self.run("deploy", "campaign.yaml")
+        deployed = self.run("server", "deploy", "campaign.yaml")
         assert deployed.returncode == 0, deployed.stderr
 
     def run(self, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -94,13 +94,13 @@ class Site:
 
     def end(self, run: str) -> Any:
         """Let a worker do what is due; the run once it has ended."""
-        worked = self.run("worker", "--once")
+        worked = self.run("server", "worker", "--once")
         assert worked.returncode == 0, worked.stderr
         assert worked.stdout == ""
         return self.state(run)
 
     def worker(self) -> subprocess.Popen[str]:
-        return self.start("worker")
+        return self.start("server", "worker")
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start `modetune ARGUMENTS` in the folder."""

@@ -24,7 +24,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, server_base: Path) -> Iterato
 
 
 def test_a_deployed_campaign_runs_and_reports_when_nothing_changed(site: Site) -> None:
-    deployed = site.run("deploy", "campaign.yaml", "--json")
+    deployed = site.run("server", "deploy", "campaign.yaml", "--json")
     assert deployed.returncode == 0, deployed.stderr
     summary = json.loads(deployed.stdout)
     assert (summary["deployment"], summary["pool"]) == ("update/six-mass", "modetune")
@@ -48,7 +48,7 @@ def test_a_deployed_campaign_runs_and_reports_when_nothing_changed(site: Site) -
 def test_a_deployment_has_a_form_and_is_run_with_another_setting(site: Site) -> None:
     """What "Custom run" of its page and `prefect deployment run` need."""
     line = "screen --method morris --points 4"
-    assert site.run("deploy", "campaign.yaml", "--study", line).returncode == 0
+    assert site.run("server", "deploy", "campaign.yaml", "--study", line).returncode == 0
     deployment = site.deployment("screen/six-mass")
     assert deployment["parameters"]["method"] == "morris"
     assert deployment["enforce_parameter_schema"]
@@ -82,8 +82,10 @@ def test_a_deployed_campaign_that_is_broken_later_fails_with_its_reason(site: Si
 
 
 def test_a_schedule_puts_runs_on_the_server(site: Site) -> None:
-    deployed = site.run("deploy", "campaign.yaml", "--cron", "0 2 * * *", "--name", "nightly")
-    assert "modetune worker --pool modetune" in deployed.stdout
+    deployed = site.run(
+        "server", "deploy", "campaign.yaml", "--cron", "0 2 * * *", "--name", "nightly"
+    )
+    assert "modetune server worker --pool modetune" in deployed.stdout
     deployment = site.deployment("update/nightly")
     assert deployment["concurrency_options"]["collision_strategy"] == "CANCEL_NEW"
     of_deployment = {"flow_runs": {"deployment_id": {"any_": [deployment["id"]]}}}
@@ -93,7 +95,9 @@ def test_a_schedule_puts_runs_on_the_server(site: Site) -> None:
 
 
 def test_serve_deploys_and_works_until_it_is_ended(site: Site) -> None:
-    server = site.start("serve", "campaign.yaml", "--cron", "0 2 * * *", "--name", "served")
+    server = site.start(
+        "server", "serve", "campaign.yaml", "--cron", "0 2 * * *", "--name", "served"
+    )
     assert eventually(lambda: _is_deployed(site))
     run = site.due("update/served")
     found, _ = site.wait(run, lambda run: run["state_type"] == "COMPLETED")
@@ -114,7 +118,7 @@ def _is_deployed(site: Site) -> bool:
 )
 def test_a_schedule_that_is_not_valid_is_one_sentence(site: Site, schedule: list[str]) -> None:
     for command in ("deploy", "serve"):
-        result = site.run(command, "campaign.yaml", *schedule)
+        result = site.run("server", command, "campaign.yaml", *schedule)
         assert result.returncode == 2
         assert result.stderr.startswith("modetune: the schedule ")
         assert result.stderr.count("\n") == 1
@@ -125,7 +129,7 @@ def test_a_server_that_does_not_answer_is_one_sentence(
 ) -> None:
     monkeypatch.setattr(process, "CONFIGURED_PATIENCE_S", 0.1)
     result = run_command(
-        site.folder, "deploy", "campaign.yaml", PREFECT_API_URL="http://127.0.0.1:9/api"
+        site.folder, "server", "deploy", "campaign.yaml", PREFECT_API_URL="http://127.0.0.1:9/api"
     )
     assert result.returncode == 2
     assert result.stderr.startswith("modetune: http://127.0.0.1:9/api, named by PREFECT_API_URL")

@@ -206,7 +206,9 @@ def test_a_deck_may_not_be_run_by_any_command(folder: Path) -> None:
 
 
 def test_deploy_refuses_such_a_setting_at_once(site: Site) -> None:
-    refused = site.run("deploy", "campaign.yaml", "--set", "run.slurm.options=[--prolog=x]")
+    refused = site.run(
+        "server", "deploy", "campaign.yaml", "--set", "run.slurm.options=[--prolog=x]"
+    )
     assert refused.returncode == 2
     assert "'run.slurm.options' is not open" in refused.stderr
     assert refused.stderr.count("\n") == 1

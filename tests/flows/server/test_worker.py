@@ -179,7 +179,7 @@ def test_a_pool_of_another_type_is_refused(site: Site) -> None:
     """Its runs could bring a command of their own."""
     site.ask("/work_pools/", {"name": "processes", "type": "process", "base_job_template": {}})
     for command in (["worker", "--once"], ["deploy", "campaign.yaml"]):
-        refused = site.run(*command, "--pool", "processes")
+        refused = site.run("server", *command, "--pool", "processes")
         assert refused.returncode == 2
         assert "work pool processes is of type process" in refused.stderr
 

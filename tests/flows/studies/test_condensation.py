@@ -197,8 +197,8 @@ def test_guyan_at_the_ends_of_a_chain_is_springs_in_series(folder: Path) -> None
 
 def test_what_is_reduced_is_a_model_for_the_next_command(folder: Path) -> None:
     ended = run_command(
-        folder, "reduce", "chain.yaml", "--masters", "2,5.x,7-8", "--method", "craig_bampton",
-        "--modes", "2", "--out", "small.yaml", "--json",
+        folder, "model", "reduce", "chain.yaml", "--masters", "2,5.x,7-8",
+        "--method", "craig_bampton", "--modes", "2", "--out", "small.yaml", "--json",
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     told = json.loads(ended.stdout)
@@ -289,7 +289,7 @@ def test_bad_input_is_one_sentence_with_its_place(
     (folder / "keep.txt").write_text("# kept\n3.x seven\n")
     (folder / "bare.csv").write_text("mode,1\nfrequency_hz,1.0\n")
     (folder / "held.csv").write_text("mode,1\nfrequency_hz,1.0\n2.x,1.0\n5.x,0.4\n")
-    ended = run_command(folder, *arguments, "--no-prefect")
+    ended = run_command(folder, "model", *arguments, "--no-prefect")
     assert ended.returncode == 2, ended.stderr + ended.stdout
     assert said in ended.stderr
     assert "Traceback" not in ended.stderr
@@ -300,7 +300,7 @@ def test_a_large_model_is_to_be_reduced_before_it_is_corrected(
 ) -> None:
     monkeypatch.setattr("modetune.flows.studies.direct.correction.MOST", 7)
     test, _ = measured_of("chain.yaml", [1, 3, 8], "x", 2)
-    with pytest.raises(CampaignError, match=r"modetune reduce --out reduced\.yaml"):
+    with pytest.raises(CampaignError, match=r"modetune model reduce --out reduced\.yaml"):
         modetune.direct("chain.yaml", test)
 
 
@@ -309,7 +309,7 @@ def test_the_chosen_expansion_is_written_for_paraview_and_as_modes(folder: Path)
     pyvista = pytest.importorskip("pyvista", reason="ParaView files need pyvista")
     test, own = measured_of("strip.inp", [31, 52, 71, 92, 112, 121], "xyz")
     ended = run_command(
-        folder, "expand", "strip.inp", str(test), "--units", "m-kg-s", "--method", "serep",
+        folder, "model", "expand", "strip.inp", str(test), "--units", "m-kg-s", "--method", "serep",
         "--out", "whole.h5", "--paraview", "pv", "--figures", "fig", "--json", "--no-prefect",
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr

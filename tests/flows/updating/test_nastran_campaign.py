@@ -112,7 +112,7 @@ def run(folder: Path, *arguments: str) -> CompletedProcess[str]:
 
 
 def test_a_twin_of_one_solver_tells_what_is_missing_and_fails(folder: Path) -> None:
-    ended = run(folder, "twin", "shell.yaml", "--json")
+    ended = run(folder, "model", "twin", "shell.yaml", "--json")
     assert ended.returncode == 4
     told = json.loads(ended.stdout)
     assert [item["solver"] for item in told["solvers"]] == ["calculix"]

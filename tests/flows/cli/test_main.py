@@ -1,0 +1,58 @@
+"""The command line's help, its groups, and the spellings of version 0.1."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+
+from modetune.flows.cli.main import GROUPS, OLD_SPELLINGS, app, command_line
+from tests.command_line import run_command
+
+
+def test_the_help_fits_a_screen_with_the_normal_day_first(tmp_path: Path) -> None:
+    lines = run_command(tmp_path, "--help", COLUMNS="100").stdout.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 100
+    first = next(place for place, line in enumerate(lines) if "A normal day" in line)
+    assert [line.split()[1] for line in lines[first + 1 : first + 6]] == [
+        "init", "identify", "sensors", "check", "update",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_help_of_a_group_has_a_line_for_each_command(group: str, tmp_path: Path) -> None:
+    shown = run_command(tmp_path, group, "--help", COLUMNS="100")
+    assert shown.returncode == 0
+    lines = shown.stdout.splitlines()
+    first = next(place for place, line in enumerate(lines) if "Commands" in line)
+    commands = typer.main.get_command(app).commands[group].commands  # type: ignore[attr-defined]
+    assert [line.split()[1] for line in lines[first + 1 : -2]] == list(commands)
+
+
+@pytest.mark.parametrize(("old", "new"), OLD_SPELLINGS.items())
+def test_an_old_spelling_is_the_new_command_with_a_line_of_warning(
+    old: str, new: str, tmp_path: Path
+) -> None:
+    by_old = run_command(tmp_path, *old.split(), "--help")
+    by_new = run_command(tmp_path, *new.split(), "--help")
+    assert (by_new.returncode, by_new.stderr) == (0, "")
+    assert by_old.stdout == by_new.stdout
+    assert f"Usage: modetune {new} " in by_new.stdout
+    assert by_old.stderr.startswith(f"modetune: `modetune {old}` is now `modetune {new}`;")
+    assert by_old.stderr.count("\n") == 1
+
+
+def test_the_warning_leaves_the_json_object_alone(tmp_path: Path) -> None:
+    (tmp_path / "modes.csv").write_text("mode,1\nfrequency_hz,10\n1.x,1\n")
+    ended = run_command(tmp_path, "inspect", "modes.csv", "--json")
+    assert ended.returncode == 0
+    assert json.loads(ended.stdout)["modes"][0]["frequency_hz"] == 10.0
+    assert "`modetune files inspect`" in ended.stderr
+
+
+def test_a_named_command_comes_alone() -> None:
+    named = typer.main.get_command(command_line("store", "explain"))
+    assert list(named.commands["store"].commands) == ["explain"]  # type: ignore[attr-defined]
