@@ -234,7 +234,7 @@ def screen(
     """Screen candidate parameters and propose which to update; writes `screening.h5`.
 
     points: maximum number of points of the design. choose: number of parameters to propose. levels:
-    number of levels per parameter, for morris and factorial. out: campaign file with only the
+    number of levels per parameter, for morris. out: campaign file with only the
     proposed parameters.
     """
     found: Screening = _found("screen", locals())

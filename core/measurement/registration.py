@@ -70,8 +70,6 @@ EVIDENCE = 7.0
 #: where this part of the points is.
 ON_NODE = 2e-3
 HIT = 0.75
-#: Steps from a pose by hand at most: from afar they are short.
-REFINED = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,17 +437,6 @@ def register(
     slides = 0.0 if exact else search.slides(fits.take([0]))
     found = [search.told(fits.take([row]), points) for row in range(len(fits))]
     return Registration(found[0], tuple(found[1:]), slides, exact, mirrored)
-
-
-def refined(points: Floats, surface: SurfacePoints, nodes: Floats, near: Alignment) -> Alignment:
-    """The fit that a pose by hand leads to, of its scale; on nodes where points are on nodes there.
-
-    points: (n_points, 3) of the test. nodes: (n_nodes, 3), of the model.
-    """
-    search = _Search(spread(points, MANY), surface, scipy.spatial.KDTree(nodes), near.scale)
-    fitted = search.fitted(_poses(near), search.points, REFINED)
-    exact = search.on_nodes(fitted)
-    return search.told((fitted if exact is None else exact).take([0]), points)
 
 
 @dataclass(frozen=True, slots=True)

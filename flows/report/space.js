@@ -89,7 +89,7 @@ const modetune = {};
     const layers = [];
     const space = {
       canvas, layers, factor: 0, reach: 0, panels: 1, azimuth: 0, elevation: 0, zoom: 1, pan: [0, 0],
-      paper: [1, 1, 1], onTurn: () => {}, onDrag: null, width: 0, height: 0, grain: 1,
+      paper: [1, 1, 1], onTurn: () => {}, width: 0, height: 0, grain: 1,
     };
 
     const buffer = (values) => {
@@ -284,8 +284,6 @@ const modetune = {};
     };
     space.panel = (x, y) => Math.min(space.panels - 1,
       Math.floor(x / space.width * across()) + across() * Math.floor(y / space.height * down()));
-    // To the right, up and towards the eye, and the length of a pixel.
-    space.plane = (seen = camera()) => [...seen.turned, 2 / (seen.scale[0] * seen.width)];
     // The row of the layer's point under the pointer, or -1; what lies in front hides what is behind.
     space.under = (item, x, y, near = 10) => {
       const panel = space.panel(x, y), seen = camera(), found = [];
@@ -330,8 +328,6 @@ const modetune = {};
         const apart = (one) => Math.hypot(one[0] - others[0][0], one[1] - others[0][1]) || 1;
         space.zoom *= apart(now) / apart(before);
         space.pan = [space.pan[0] + moved[0] / 2, space.pan[1] - moved[1] / 2];
-      } else if (space.onDrag && event.buttons !== 2) {
-        space.onDrag(...moved, event.shiftKey);
       } else if (event.shiftKey || event.buttons === 2) {
         space.pan = [space.pan[0] + moved[0], space.pan[1] - moved[1]];
       } else {

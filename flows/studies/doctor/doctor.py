@@ -1,7 +1,7 @@
-"""What is installed, and whether solvers do here what campaigns rely on: one report.
+"""The doctor's report: the installation, and the solver features that campaigns need.
 
-What a solver that asks for confirmation (`Capabilities.to_confirm`) passes on its model of ten
-elements is noted for its installation; until then `auto` leaves it aside.
+A solver can name capabilities that need confirmation (`Capabilities.to_confirm`). The doctor stores
+those that pass on the model of ten elements for this installation; until then `auto` ignores them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from modetune.flows.studies.doctor.ten_elements import MODELS, TenElements
 
 @dataclass(frozen=True, slots=True)
 class DoctorReport:
-    """All lines, and the capabilities that were noted as passed."""
+    """The lines of the report, and the capabilities stored as passed."""
 
     lines: tuple[DoctorLine, ...]
     confirmed: tuple[str, ...] = ()
@@ -44,9 +44,9 @@ class DoctorReport:
         return 4 if self.status == "failed" else 0
 
     def to_json(self, now: datetime) -> dict[str, Json]:
-        """The report for machines."""
-        told = json_object(self, "status exit_code confirmed", lines=self.lines)
-        return {**told, "written": now.astimezone(UTC).isoformat(timespec="seconds")}
+        """Return the JSON object of the report."""
+        made = json_object(self, "status exit_code confirmed", lines=self.lines)
+        return {**made, "written": now.astimezone(UTC).isoformat(timespec="seconds")}
 
 
 def run_doctor(
@@ -56,20 +56,18 @@ def run_doctor(
     tell: Tell = lambda line: None,
     working: Callable[[str], None] = lambda text: None,
 ) -> DoctorReport:
-    """Look around, then test a solver: the one named, a campaign's own, or all free ones.
+    """Examine the installation, then test the named solver, a campaign's, or all free ones.
 
-    tell: is given each line as it comes, without names of people and machines; working: what is
-    under way. Raises CampaignError for a solver or campaign that cannot be tested.
+    tell: receives each line at once, without names of people and machines. working: receives the
+    current step. Raises CampaignError for a solver or campaign that cannot be tested.
     """
     known = (*SOLVERS, *registered_solvers())
     if solver is not None and solver not in known:
-        raise CampaignError(
-            f"--solver {solver!r}: there is no such solver{suggestion(solver, known)}"
-        )
+        raise CampaignError(f"--solver {solver!r}: unknown solver{suggestion(solver, known)}")
     if solver is not None and campaign is None and solver not in MODELS:
         raise CampaignError(
-            f"--solver {solver}: there is no model of ten elements for it; name a campaign file "
-            "in its place, whose own model is tried"
+            f"--solver {solver}: modetune has no test model for it; name a campaign file, so that "
+            "its own model is tested"
         )
     lines: list[DoctorLine] = []
 
@@ -86,20 +84,20 @@ def run_doctor(
             if solver or name in FREE:
                 confirmed += _test(name, dialect, solver is not None, keep, working)
             else:
-                keep(_asked(name))
+                keep(_not_tested(name))
     return DoctorReport(tuple(lines), tuple(confirmed))
 
 
-def _asked(name: str) -> DoctorLine:
-    said = "not tried unasked, for it takes a licence"
-    remedy = f"`modetune doctor --solver {name}` tries it"
+def _not_tested(name: str) -> DoctorLine:
+    said = "not tested, because it needs a licence"
+    remedy = f"test it with `modetune doctor --solver {name}`"
     return DoctorLine(name, "program", "not available", said, remedy)
 
 
 def _test(
     name: str, dialect: NastranDialect, asked: bool, tell: Tell, working: Callable[[str], None]
 ) -> list[str]:
-    """Test a solver on its model of ten elements; what was noted as passed."""
+    """Test a solver on its model of ten elements and return the capabilities stored as passed."""
     model = MODELS[name]()
     with _folder() as folder:
         tests = _tests(model.write(folder, name, dialect), folder, [], model, tell, working)
@@ -115,7 +113,7 @@ def _test(
 
 
 def _note(tests: SolverTests, tell: Tell) -> list[str]:
-    """Note what passed of a solver that asks for it, where its modes are right."""
+    """Store the capabilities that need confirmation and passed, if the modes are right."""
     program = tests.program
     to_confirm = program.capabilities.to_confirm
     if not to_confirm or tests.modal is None:
@@ -123,7 +121,7 @@ def _note(tests: SolverTests, tell: Tell) -> list[str]:
     passed = sorted(tests.confirmed & to_confirm)
     write_self_test(program, passed)
     used = ", ".join(item.replace("_", " ") for item in passed) or "nothing"
-    said = f"noted for this installation: {used}; campaigns with `auto` go by it from now on"
+    said = f"stored for this installation: {used}; `auto` uses this from now on"
     tell(DoctorLine(program.name, "confirmed", "passed" if passed else "not available", said))
     return passed
 
@@ -131,9 +129,9 @@ def _note(tests: SolverTests, tell: Tell) -> list[str]:
 def _test_campaign(
     path: Path, solver: str | None, tell: Tell, working: Callable[[str], None]
 ) -> list[str]:
-    """Test the solver of a campaign on its own model, which has no closed form.
+    """Test the solver of a campaign on the campaign's model, which has no closed form.
 
-    What passes is noted of a solver that has no model of ten elements.
+    The result is stored only for a solver without a model of ten elements.
     """
     settings = [f"model.solver={solver}"] if solver else []
     with _folder() as folder:
@@ -150,7 +148,7 @@ def _tests(
     tell: Tell,
     working: Callable[[str], None],
 ) -> SolverTests:
-    """The tests of a campaign; results go into a store of their own, and nothing is repeated."""
+    """Return the tests of a campaign, with a separate store and without retries."""
     alone = [f"store={folder / 'store'}", "run.retries=0", "run.licence_wait_s=0.5"]
     campaign = load_campaign(path, [*settings, *alone], ModelFile)
     first = campaign.alone(campaign.cases[0])
@@ -159,7 +157,7 @@ def _tests(
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """A folder for jobs: where a queue runs them, one that its machines see too."""
+    """Yield a temporary folder for jobs, in the working folder if a cluster runs them."""
     here = RunSection().on_site().engine == "local"
     base = None if here else Path(".modetune").absolute()
     with storage_errors(Path(".modetune") / "doctor"):

@@ -1,4 +1,4 @@
-"""What is installed here and within reach: a line each with its state and the remedy."""
+"""The installation: packages, machine, site, servers and store, one line of the report each."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ STATES: tuple[State, ...] = get_args(State)
 
 @dataclass(frozen=True, slots=True)
 class DoctorLine:
-    """One thing that was looked at.
+    """One line of the report.
 
-    topic: what it is of, the machine or a solver; said: what was found, or the reason; remedy:
-    what to do, empty where nothing is to be done; seconds: what it took.
+    topic: the machine or a solver. said: the finding, or the reason. remedy: the action to take,
+    empty if none. seconds: duration of the test.
     """
 
     topic: Annotated[str, Column("of")]
@@ -53,17 +53,17 @@ class DoctorLine:
 
     @property
     def text(self) -> str:
-        """The line for people."""
+        """The line as printed."""
         more = f"; {self.remedy}" if self.remedy else ""
         return f"{self.state:<13} {self.topic}: {self.item}: {self.said}{more}"
 
 
-#: Receives each line as soon as it is known.
+#: Receives each line at once.
 Tell = Callable[[DoctorLine], None]
 
 
 def without_names(line: DoctorLine) -> DoctorLine:
-    """The line without home folder, user and host, so that the report can be sent."""
+    """Return the line without home folder, user and host, so that the report can be sent."""
     return replace(line, said=_anonymous(line.said), remedy=_anonymous(line.remedy))
 
 
@@ -76,9 +76,9 @@ def _anonymous(text: str) -> str:
 
 
 HERE = "machine"
-#: Extras that users install; `all` is their sum, `dev` is for work on modetune itself.
+#: Extras for users; `all` joins them, `dev` is for work on modetune.
 EXTRAS = ("calculix", "pictures", "studies", "cluster")
-#: Free disk below which a campaign of a middling model may not end, bytes.
+#: Free disk space that a campaign of a medium-sized model can need, in bytes.
 LEAST_DISK = 5e9
 #: Variables with the addresses of licence servers; values are not reported.
 LICENCE_VARIABLES = ("MSC_LICENSE_FILE", "LM_LICENSE_FILE", "SPLM_LICENSE_SERVER",
@@ -88,7 +88,7 @@ Found = tuple[State, str, str]
 
 
 def look_around(tell: Tell, working: Callable[[str], None]) -> None:
-    """Report what is installed, and what the site offers."""
+    """Report the installation and the site."""
     looks: list[tuple[str, Callable[[], Found]]] = [
         ("Python", _python),
         ("packages", lambda: _packages("")),
@@ -124,8 +124,8 @@ def _version(name: str) -> str:
 
 
 def _packages(extra: str) -> Found:
-    """The packages that modetune requires, or those of an extra, against what is there."""
-    told, wrong, missing = [], [], []
+    """Compare the installed packages with the requirements of modetune or of an extra."""
+    installed, wrong, missing = [], [], []
     for text in metadata.requires("modetune") or ():
         wanted = Requirement(text)
         if wanted.marker is not None and not wanted.marker.evaluate({"extra": extra}):
@@ -138,9 +138,9 @@ def _packages(extra: str) -> Found:
         elif not wanted.specifier.contains(version, prereleases=True):
             wrong.append(f"{wanted.name} {version} is not {wanted.specifier}")
         else:
-            told.append(f"{wanted.name} {version}")
+            installed.append(f"{wanted.name} {version}")
     remedy = f"pip install 'modetune[{extra}]'" if extra else "pip install modetune"
-    said = ", ".join(told)
+    said = ", ".join(installed)
     if wrong or (missing and not extra):
         absent = [f"{name} is not installed" for name in missing]
         return "failed", "; ".join([*wrong, *absent]), remedy
@@ -151,7 +151,7 @@ def _packages(extra: str) -> Found:
 
 def _mumps() -> Found:
     if mumps.is_available():
-        return "passed", "MUMPS, for models whose factors memory does not hold", ""
+        return "passed", "MUMPS, for models whose factors exceed the memory", ""
     return "not available", "MUMPS is not installed", mumps.REMEDY
 
 
@@ -166,14 +166,14 @@ def _disk() -> Found:
     free = shutil.disk_usage(_store_folder(existing=True)).free
     said = f"{free / 1e9:.1f} GB free below the store"
     if free < LEAST_DISK:
-        return "failed", said, f"free some, or name another disk with {STORE_VARIABLE}"
+        return "failed", said, f"free some space, or name another disk with {STORE_VARIABLE}"
     return "passed", said, ""
 
 
 def _site() -> Found:
-    run = RunSection().on_site()  # reported where it cannot be read
+    run = RunSection().on_site()  # raises where it cannot be read
     if not site_path().is_file():
-        return "not available", "there is none; campaigns run on this machine", ""
+        return "not available", "no site file; campaigns run on this machine", ""
     return "passed", f"{site_path()}: jobs run by {run.engine}", ""
 
 
@@ -184,13 +184,13 @@ def _licences() -> Found:
     if not named and not counted:
         return (
             "not available",
-            "no licence server is named in the environment, and the site file counts no licences",
-            "needed by commercial solvers alone",
+            "the environment names no licence server, and the site file limits no licences",
+            "only commercial solvers need them",
         )
     said = [f"{', '.join(named)} set"] if named else []
     return (
         "passed",
-        "; ".join([*said, *(["counted: " + ", ".join(counted)] if counted else [])]),
+        "; ".join([*said, *(["limits: " + ", ".join(counted)] if counted else [])]),
         "",
     )
 
@@ -204,19 +204,19 @@ def _server() -> Found:
         return "failed", configured.describe(answer), ""
     address = running_address(server_home())
     if address is None or not is_ours(address.url):
-        return "not available", "none is running; the first command that needs one starts it", ""
+        return "not available", "not running; the first command that needs it starts it", ""
     return "passed", f"running at {address.url.removesuffix('/api')}", ""
 
 
 def _store() -> Found:
-    """Where results go: written to, locked, and how large it is."""
+    """Test that the store can be written and locked, and report its size."""
     folder = _store_folder()
     new = not folder.exists()
     try:
         check_writable(folder, STORE_REMEDY)
         with FileLock(folder / ".doctor.lock") as lock:
             if not lock.take():
-                return "passed", f"{folder}: another test of it is under way", ""
+                return "passed", f"{folder}: another test of it is running", ""
             second = FileLock(folder / ".doctor.lock")
             twice = second.take()
             second.release()
@@ -228,19 +228,19 @@ def _store() -> Found:
     if twice:
         return (
             "failed",
-            f"{folder}: a lock can be taken twice, so campaigns could run the same job",
+            f"{folder}: a lock can be taken twice, so two campaigns could run the same job",
             f"name a folder on another file system with {STORE_VARIABLE}",
         )
     if new:
-        return "passed", f"{folder}: can be written, locks hold; it is made when needed", ""
+        return "passed", f"{folder}: writable, locks work; created when needed", ""
     files = [path for path in folder.rglob("*") if path.is_file()]
     size = sum(path.stat().st_size for path in files)
-    said = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB; can be written, locks hold"
+    said = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB; writable, locks work"
     return "passed", said, ""
 
 
 def _store_folder(existing: bool = False) -> Path:
-    """The store of campaigns in this folder; existing: the first folder above it that is there."""
+    """Return the store of campaigns in this folder; existing: its first parent that exists."""
     folder = Path(os.environ.get(STORE_VARIABLE) or Path(".modetune") / "store").absolute()
     while existing and not folder.is_dir():
         folder = folder.parent

@@ -1,14 +1,13 @@
 """Designs: the parameter values at which the model is solved to separate effects.
 
-All values are relative to the deck's, within the parameters' bounds. Points that mean something
-only together share a block: a trajectory of Morris's, the rows that Saltelli's scheme makes of one
-base sample. Where one of them fails, the block is left out.
+All values are relative to the deck's, within the parameters' bounds. Points that are useful only
+together share a block: a trajectory (Morris), or the rows from one base sample (Saltelli). If one
+of them fails, the whole block is left out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -17,11 +16,11 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.flows.studies.screen.request import ScreeningMethod
 
-#: Without a number of points: trajectories, base samples, and points a parameter.
+#: Defaults: trajectories, base samples, and points per parameter of a hypercube.
 TRAJECTORIES, BASE_SAMPLES, POINTS_EACH = 10, 64, 10
-#: Levels of a parameter where none are asked for.
-LEVELS: dict[ScreeningMethod, int] = {"morris": 4, "factorial": 2}
-#: More points than this are a slip of the hand.
+#: Default number of levels per parameter.
+LEVELS: dict[ScreeningMethod, int] = {"morris": 4}
+#: Limit that catches mistyped numbers.
 MOST_POINTS = 100_000
 
 
@@ -29,8 +28,8 @@ MOST_POINTS = 100_000
 class Design:
     """The points of a screening.
 
-    points: (n_points, n_parameters); blocks: (n_points,), number of the block that each is of;
-    lower, upper: (n_parameters,), bounds; levels: of each parameter, 0 where it has none.
+    points: (n_points, n_parameters). blocks: (n_points,), the block number of each point. lower,
+    upper: (n_parameters,), bounds. levels: per parameter, 0 for methods without levels.
     """
 
     method: ScreeningMethod
@@ -42,7 +41,7 @@ class Design:
 
     @property
     def problem(self) -> dict[str, object]:
-        """What SALib calls the problem."""
+        """The problem definition of SALib."""
         count = self.lower.size
         return {
             "num_vars": count,
@@ -59,11 +58,10 @@ def make_design(
     points: int | None = None,
     levels: int | None = None,
 ) -> Design:
-    """The design of a method with at most so many points (about ten a parameter without).
+    """Make the design of a method with up to `points` points (default: about ten per parameter).
 
-    Sobol requires a power of two as base sample, Morris whole trajectories and an even number of
-    levels: both take the most that fits into `points`. A factorial has levels ** n_parameters
-    points, whatever was asked. Raises CampaignError where too few are allowed.
+    Morris needs whole trajectories and an even number of levels, Sobol a power of two of base
+    samples: both use as many as fit into `points`. Raises CampaignError for too few points.
     """
     count = lower.size
     levels = _levels(method, levels)
@@ -77,8 +75,6 @@ def make_design(
         _enough(method, n, count + 2)
         unit = latin_hypercube(n, count, rng)
         return _placed(empty, lower + unit * (upper - lower), np.arange(n))
-    if method == "factorial":
-        return _factorial(empty, points)
     if method == "morris":
         return _morris(empty, points, rng)
     return _sobol(empty, points, rng)
@@ -89,40 +85,30 @@ def _levels(method: ScreeningMethod, levels: int | None) -> int:
     if levels is None:
         return usual
     if not usual:
-        raise CampaignError(f"--levels is of morris and factorial, {method} has none")
-    if not 2 <= levels <= 100 or (method == "morris" and levels % 2):
-        wanted = "an even number from 2" if method == "morris" else "2 or more"
-        raise CampaignError(f"--levels {levels}: {method} takes {wanted}, at most 100")
+        raise CampaignError(f"--levels is an option of morris; {method} has no levels")
+    if not 2 <= levels <= 100 or levels % 2:
+        raise CampaignError(f"--levels {levels}: expected an even number from 2 to 100")
     return levels
 
 
 def _enough(method: str, given: int, least: int) -> None:
     if given < least:
-        raise CampaignError(f"--points {given}: {method} of so many parameters needs {least}")
+        raise CampaignError(
+            f"--points {given}: {method} needs at least {least} for these parameters"
+        )
     if given > MOST_POINTS:
-        raise CampaignError(f"--points {given}: at most {MOST_POINTS} are taken")
+        raise CampaignError(f"--points {given}: the maximum is {MOST_POINTS}")
 
 
 def _placed(empty: Design, points: Floats, blocks: Integers) -> Design:
     return Design(empty.method, points, blocks, empty.lower, empty.upper, empty.levels)
 
 
-def _factorial(empty: Design, points: int | None) -> Design:
-    count = empty.lower.size
-    n = empty.levels**count
-    if n > (MOST_POINTS if points is None else points):
-        raise CampaignError(
-            f"a full factorial of {count} parameters at {empty.levels} levels has {n} points; "
-            "take fewer parameters or levels, or another method (morris), or allow so many with "
-            f"--points (at most {MOST_POINTS})"
-        )
-    steps = np.array(list(product(np.linspace(0.0, 1.0, empty.levels), repeat=count)))
-    return _placed(empty, empty.lower + steps * (empty.upper - empty.lower), np.arange(n))
-
-
 def _morris(empty: Design, points: int | None, rng: np.random.Generator) -> Design:
-    """Trajectories from a random point of the grid, along each parameter once, in random order, by
-    half of the levels up or down (Morris 1991)."""
+    """Make trajectories from random grid points (Morris 1991).
+
+    Each moves along every parameter once, in random order, by half of the levels up or down.
+    """
     count, levels = empty.lower.size, empty.levels
     each = count + 1
     n = TRAJECTORIES if points is None else points // each
@@ -142,6 +128,6 @@ def _sobol(empty: Design, points: int | None, rng: np.random.Generator) -> Desig
     each = empty.lower.size + 2
     _enough("sobol", points if points is not None else BASE_SAMPLES * each, 8 * each)
     n = BASE_SAMPLES if points is None else 2 ** int(np.log2(points // each))
-    seed = int(rng.integers(1, 2**31))  # SALib takes zero for none
+    seed = int(rng.integers(1, 2**31))  # SALib ignores a seed of 0
     made = sample(empty.problem, n, calc_second_order=False, seed=seed)
     return _placed(empty, np.asarray(made, np.float64), np.repeat(np.arange(n), each))

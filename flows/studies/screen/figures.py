@@ -1,6 +1,6 @@
-"""Charts of a screening: sensitivities a mode, indices of the method, and what led to the choice.
+"""Charts of a screening: sensitivities per mode, indices of the method, and the choice.
 
-Chosen parameters have one colour, those left out another.
+Proposed parameters have one colour, rejected ones another.
 """
 
 from __future__ import annotations
@@ -28,21 +28,18 @@ from modetune.flows.report.chart import (
 from modetune.flows.studies.screen.record import Screening
 
 CHOSEN, OUT, SECOND = AFTER, BEFORE, "#009E73"
-#: Points of a scatter that are named: the strongest.
+#: Number of labelled points in a scatter chart: the strongest.
 LABELLED = 5
 
 
 def screening_charts(screening: Screening) -> dict[str, Chart]:
-    """Every chart that the screening allows, by name."""
+    """Return the charts of a screening by name."""
     charts = {"sensitivities": local_chart(screening, "frequencies")}
     if screening.local.mac.size:
         charts["sensitivities_mac"] = local_chart(screening, "MAC")
     if screening.indices is not None:
-        draw = {"morris": morris_chart, "sobol": sobol_chart}
-        method = screening.design.method
-        charts[method] = draw.get(method, effect_chart)(screening)
-        if screening.indices.interactions.size and len(screening.names) > 1:
-            charts["interactions"] = interaction_chart(screening)
+        draw = {"morris": morris_chart, "sobol": sobol_chart, "lhs": regression_chart}
+        charts[screening.design.method] = draw[screening.design.method](screening)
     charts["cosines"] = cosine_chart(screening)
     if len(screening.choice.misfits) > 1:
         charts["selection"] = selection_chart(screening)
@@ -50,9 +47,9 @@ def screening_charts(screening: Screening) -> dict[str, Chart]:
 
 
 def local_chart(screening: Screening, what: str) -> Chart:
-    """Normalised sensitivities at the deck's values, a panel of bars a mode.
+    """Normalised sensitivities at the deck's values, one panel of bars per mode.
 
-    what: `frequencies`, as thesis, figures 49 to 51 and 67, or `MAC`.
+    what: `frequencies` (as in figures 49 to 51 and 67 of the thesis), or `MAC`.
     """
     shapes = what == "MAC"
     values = screening.local.mac if shapes else screening.local.frequencies
@@ -60,25 +57,22 @@ def local_chart(screening: Screening, what: str) -> Chart:
     return _bars(screening, f"sensitivity of {what} at the deck's values", values, unit)
 
 
-def effect_chart(screening: Screening) -> Chart:
-    """Effects on frequencies by a Latin hypercube or a full factorial, a panel of bars a mode."""
+def regression_chart(screening: Screening) -> Chart:
+    """Regression and rank correlation of frequencies, one panel of bars per mode."""
     found, n = screening.indices, len(screening.numbers)
     assert found is not None
-    if screening.design.method == "lhs":
-        return _bars(
-            screening,
-            f"Latin hypercube, {found.used} points",
-            found.measure("regression")[:n],
-            "coefficient",
-            found.measure("rank_correlation")[:n],
-            ("standardised regression", "rank correlation"),
-        )
-    title = f"full factorial, main effects, {found.used} points"
-    return _bars(screening, title, found.measure("main_effect")[:n], "df/f over the bounds")
+    return _bars(
+        screening,
+        f"Latin hypercube, {found.used} points",
+        found.measure("regression")[:n],
+        "coefficient",
+        found.measure("rank_correlation")[:n],
+        ("standardised regression", "rank correlation"),
+    )
 
 
 def sobol_chart(screening: Screening) -> Chart:
-    """First and total Sobol indices of frequencies with 95 % intervals, a panel a mode."""
+    """First and total Sobol indices of frequencies with 95 % intervals, one panel per mode."""
     found, n = screening.indices, len(screening.numbers)
     assert found is not None
     return _bars(
@@ -93,7 +87,7 @@ def sobol_chart(screening: Screening) -> Chart:
 
 
 def morris_chart(screening: Screening) -> Chart:
-    """Sigma over mu* of frequencies, a panel a mode; on the line sigma = mu*."""
+    """Sigma over mu* of frequencies with the line sigma = mu*, one panel per mode."""
     found, panels = screening.indices, []
     assert found is not None
     chosen = np.array([item.chosen for item in screening.choice.verdicts])
@@ -135,22 +129,6 @@ def morris_chart(screening: Screening) -> Chart:
     return _chart(screening, f"Morris, {found.used} points", panels, (3.4, 2.9))
 
 
-def interaction_chart(screening: Screening) -> Chart:
-    """Shares of main effects (diagonal) and interactions of two in frequencies, a map a mode."""
-    found = screening.indices
-    assert found is not None
-    panels = [
-        _map(
-            screening,
-            found.interaction_shares[mode] + np.diag(found.measure("main_share")[mode]),
-            "Blues",
-            name,
-        )
-        for mode, name in enumerate(screening.modes)
-    ]
-    return _chart(screening, "shares of main effects and of interactions", panels, (3.4, 3.0))
-
-
 def cosine_chart(screening: Screening) -> Chart:
     """Cosines between the weighted sensitivity columns of all candidates."""
     panel = _map(screening, column_cosines(screening.local.weighted), "RdBu")
@@ -159,7 +137,7 @@ def cosine_chart(screening: Screening) -> Chart:
 
 
 def selection_chart(screening: Screening) -> Chart:
-    """What is left of the residual's square as forward selection takes its parameters."""
+    """The squared residual that remains after each step of forward selection."""
     left = 100.0 * np.array(screening.choice.misfits)
     bars = Bars(
         "",
@@ -168,7 +146,7 @@ def selection_chart(screening: Screening) -> Chart:
         written=tuple(f"{value:.3g}" for value in left.tolist()),
     )
     names = ("none", *(f"+ {name}" for name in screening.choice.chosen[: left.size - 1]))
-    panel = Panel((bars,), Axis(names=names, slant=30), Axis("residual's square left, %"))
+    panel = Panel((bars,), Axis(names=names, slant=30), Axis("remaining squared residual, %"))
     return _chart(screening, "forward selection", [panel], (max(4.0, 0.7 * left.size + 1.4), 3.2))
 
 
@@ -188,9 +166,9 @@ def _bars(
     labels: Sequence[str] = ("", ""),
     errors: tuple[Floats | None, Floats | None] | None = None,
 ) -> Chart:
-    """Bars of (n_modes, n_parameters), the candidates from top to bottom by importance.
+    """Bars of values (n_modes, n_parameters), the most important candidate at the top.
 
-    second: another measure next to the first; labels: of both; errors: half widths of both.
+    second: another measure next to the first. labels, errors: names and half widths of both.
     """
     order = list(screening.choice.ranking)
     verdicts = [screening.choice.verdicts[place].chosen for place in order]
@@ -198,7 +176,7 @@ def _bars(
     first_errors, second_errors = errors or (None, None)
     nothing = np.zeros(0)
     legend = [
-        # A bar's name is one of all its bars; the legend has the meaning of their colours.
+        # A bar series has one name, so the legend explains its colours by curves without points.
         Curve(f"{word}{f': {labels[0]}' if labels[0] else ''}", nothing, nothing, colour, "", "s")
         for word, colour in (("proposed", CHOSEN), ("left out", OUT))
     ]
@@ -217,7 +195,7 @@ def _bars(
 
 
 def _map(screening: Screening, table: Floats, colours: str, title: str = "") -> Panel:
-    """A square table of the parameters as a map."""
+    """A square table of the parameters as a colour map."""
     low = -1.0 if colours == "RdBu" else 0.0
     heat = HeatMap(table, "{row} and {column}: {value:.2f}", "", low, 1.0, colours)
     names = screening.names

@@ -34,8 +34,8 @@ def write_proposal(campaign_file: Path, screening: Screening, out: Path) -> Path
     """Write the campaign with the chosen parameters alone. Raises CampaignError, StoreError."""
     if not screening.choice.chosen:
         raise CampaignError(
-            "screening chose no parameter, so there is no campaign to propose; the table tells why "
-            "each was left out"
+            "the screening rejected all parameters, so there is no campaign to write; the table of "
+            "candidates gives the reasons"
         )
     check_out(campaign_file, out)
     source = read_yaml(campaign_file, "a campaign")
@@ -70,7 +70,7 @@ def _heading(screening: Screening) -> list[str]:
     chosen, design = screening.choice.chosen, screening.design
     method = {
         "local": "sensitivities at the deck's values", "morris": "Morris", "sobol": "Sobol",
-        "lhs": "a Latin hypercube", "factorial": "a full factorial",
+        "lhs": "a Latin hypercube",
     }[design.method]  # fmt: skip
     points = f", {len(design.points)} points" if len(design.points) else ""
     line = (

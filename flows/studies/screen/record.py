@@ -109,4 +109,4 @@ def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[s
     return tuple(map(mode_name, numbers, configurations or [""] * len(numbers)))
 
 
-SCREENING = RecordFile(Screening, "screening", "screening.h5", 6)
+SCREENING = RecordFile(Screening, "screening", "screening.h5", 7)

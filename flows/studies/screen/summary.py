@@ -1,7 +1,7 @@
-"""The tables, sentences and JSON of a screening, and notes on where its answer is doubtful.
+"""The tables, sentences and JSON of a screening, and notes on where its choice is doubtful.
 
-The choice rests on the linear model at the deck's values. A design over the whole of the bounds
-shows where that model does not hold; and an index with a wide interval ranks nothing.
+The choice uses the linear model at the deck's values. A design over the whole bounds shows where
+that model does not hold; and indices with wide intervals cannot rank parameters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from modetune.flows.studies.screen.design import MOST_POINTS
 from modetune.flows.studies.screen.indices import UNITS, Indices
 from modetune.flows.studies.screen.record import Screening
 
-#: Modes of which a terminal shows the columns.
+#: Maximum number of modes in a table on the terminal.
 SHOWN = 12
 #: Title of the table of all candidates.
 CANDIDATES = "Candidates; importance in standard deviations of the test"
@@ -52,7 +52,6 @@ def summary(screening: Screening) -> dict[str, Json]:
         wall_s=round(screening.wall_s, 3),
         modes=[dict(zip(columns, values, strict=True)) for values in modes],
         parameters=[_parameter(screening, place) for place in range(len(screening.names))],
-        interactions=_interactions(screening),
         collinear=[[screening.names[place] for place in group] for group in choice.groups],
         chosen=choice.chosen,
         residual_left=choice.misfits,
@@ -61,29 +60,19 @@ def summary(screening: Screening) -> dict[str, Json]:
 
 
 @dataclass(frozen=True, slots=True)
-class InteractionRow:
-    """What two parameters do together to a response, beyond what each does alone."""
-
-    response: Annotated[str, Column("response")]
-    parameters: Annotated[tuple[str, str], Column("parameters")]
-    effect: Annotated[float, Column("effect", form=".3g")]
-    share: Annotated[float, Column("share of the variance", form=".3g")]
-
-
-@dataclass(frozen=True, slots=True)
 class CandidateRow:
-    """A candidate parameter; chosen: in what place, 0 where it is left out; rank: by importance.
+    """A candidate parameter.
 
-    frequencies, mac: its normalised sensitivities, by mode; others: by response of other kinds;
-    indices: of the design's method, lists
-    over its responses.
+    rank: by importance. chosen: place in the choice, 0 if rejected. frequencies, mac: normalised
+    sensitivities of each mode. others: sensitivities of other responses by kind. indices: measures
+    of the design, lists over the responses.
     """
 
     name: Annotated[str, Column("parameter")]
     bounds: tuple[float, float]
     importance: Annotated[float, Column("importance", form=".3g")]
     rank: int
-    chosen: Annotated[int, Column("place in the choice (0: left out)")]
+    chosen: Annotated[int, Column("place in the choice (0: rejected)")]
     reason: Annotated[str, Column("reason")]
     sensitivity: str
     frequencies: Floats
@@ -110,7 +99,7 @@ def _parameter(screening: Screening, place: int) -> CandidateRow:
 
 
 def _others(screening: Screening, place: int) -> dict[str, list[float]]:
-    """Sensitivities of one parameter by the kind of response, in standard deviations."""
+    """Return sensitivities of one parameter by kind of response, in standard deviations."""
     found: dict[str, list[float]] = {}
     columns = screening.responses.other_kinds, screening.local.others[:, place].tolist()
     for kind, value in zip(*columns, strict=True):
@@ -119,7 +108,7 @@ def _others(screening: Screening, place: int) -> dict[str, list[float]]:
 
 
 def _indices(screening: Screening, place: int) -> dict[str, Any]:
-    """Measures of one parameter, a list over the responses each."""
+    """Return the measures of one parameter, each a list over the responses."""
     found = screening.indices
     if found is None:
         return {}
@@ -127,28 +116,8 @@ def _indices(screening: Screening, place: int) -> dict[str, Any]:
     return {"responses": screening.response_names, **measures, "moves": found.moves[:, place]}
 
 
-def _interactions(screening: Screening) -> list[InteractionRow]:
-    """Interactions of a factorial, those with the largest share first."""
-    found = screening.indices
-    if found is None or not found.interactions.size:
-        return []
-    names, responses = screening.names, screening.response_names
-    rows = [
-        InteractionRow(
-            responses[r],
-            (names[i], names[j]),
-            float(found.interactions[r, i, j]),
-            float(found.interaction_shares[r, i, j]),
-        )
-        for r in range(len(responses))
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-    ]
-    return sorted(rows, key=lambda row: -row.share)
-
-
 def tables(screening: Screening) -> list[Table]:
-    """Sensitivities, indices and verdicts."""
+    """Return the tables of sensitivities, indices and candidates."""
     local = screening.local
     made = [_local_table(screening, "frequencies, (df/f) / (dp/p)", local.frequencies)]
     if local.mac.size:
@@ -157,14 +126,6 @@ def tables(screening: Screening) -> list[Table]:
         made.append(_other_table(screening))
     if screening.indices is not None:
         made.append(_index_table(screening))
-        if screening.indices.interactions.size and len(screening.names) > 1:
-            made.append(
-                table_of(
-                    "Largest interactions of two parameters",
-                    _interactions(screening)[:8],
-                    InteractionRow,
-                )
-            )
     candidates = [_parameter(screening, place) for place in screening.choice.ranking]
     return [*made, table_of(CANDIDATES, candidates, CandidateRow)]
 
@@ -175,7 +136,7 @@ def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
     columns = (
         Column("parameter", words=True),
         *(Column(name, form="+.2f") for name in modes),
-        Column("by", words=True),
+        Column("method", words=True),
     )
     lines = tuple(
         (screening.names[place], *rows[: len(modes), place].tolist(), methods[place])
@@ -185,13 +146,12 @@ def _local_table(screening: Screening, what: str, rows: Floats) -> Table:
 
 
 def _of_modes(screening: Screening) -> str:
-    """Whose columns a table has."""
     n = len(screening.modes)
     return "test modes" if n <= SHOWN else f"the first {SHOWN} of {n} test modes"
 
 
 def _other_table(screening: Screening) -> Table:
-    """How far parameters move other kinds of response over their bounds, root of the squares."""
+    """Changes of other kinds of response over the bounds, as the root of the sum of squares."""
     found, local, design = screening.indices, screening.local, screening.design
     rows = local.others * (design.upper - design.lower) if found is None else found.moves
     squares = rows[len(rows) - len(local.others) :] ** 2
@@ -209,35 +169,35 @@ def _other_table(screening: Screening) -> Table:
         *(Column(name.replace("_", " "), form=".3g") for name in names),
     )
     return Table(
-        "Moved over the bounds beside frequencies, in standard deviations of the test",
+        "Changes of other responses over the bounds, in standard deviations of the test",
         columns,
         lines,
     )
 
 
-#: The measure that a terminal shows of each method, and the one in parentheses.
+#: The measure of each method in the table, and the one in parentheses.
 SHOWN_MEASURES = {
-    "morris": ("mu_star", "sigma"), "sobol": ("total", "total_confidence"),
-    "lhs": ("regression", ""), "factorial": ("main_effect", ""),
-}  # fmt: skip
+    "morris": ("mu_star", "sigma"),
+    "sobol": ("total", "total_confidence"),
+    "lhs": ("regression", ""),
+}
 HEADINGS = {
     "morris": "Morris: mu* of frequencies over the bounds, and sigma",
     "sobol": "Sobol: total indices of frequencies, and half width of their 95 % intervals",
     "lhs": "Latin hypercube: standardised regression of frequencies",
-    "factorial": "Full factorial: main effects on frequencies over the bounds",
 }
 
 
 def _index_table(screening: Screening) -> Table:
     found, method = screening.indices, screening.design.method
     assert found is not None
-    main, beside = SHOWN_MEASURES[method]
+    main, second = SHOWN_MEASURES[method]
     modes = screening.modes[:SHOWN]
     rows = []
     for place in screening.choice.ranking:
         cells = [f"{value:.3f}" for value in found.measure(main)[: len(modes), place]]
-        if beside:
-            more = found.measure(beside)[: len(modes), place]
+        if second:
+            more = found.measure(second)[: len(modes), place]
             cells = [f"{cell} ({value:.3f})" for cell, value in zip(cells, more, strict=True)]
         rows.append((screening.names[place], *cells))
     explained = found.explained[: len(modes)]
@@ -248,10 +208,10 @@ def _index_table(screening: Screening) -> Table:
 
 
 def lines(screening: Screening) -> list[str]:
-    """Sentences below the tables."""
-    said, names, runs = [], screening.names, screening.runs
+    """Return the sentences below the tables."""
+    made, names, runs = [], screening.names, screening.runs
     for group in screening.choice.groups:
-        said.append(f"collinear: {', '.join(names[place] for place in group)}")
+        made.append(f"collinear: {', '.join(names[place] for place in group)}")
     failed, design = screening.responses.n_failed, screening.design
     if failed and screening.indices is not None:
         first = (
@@ -259,98 +219,98 @@ def lines(screening: Screening) -> list[str]:
         )
         blocks = np.unique(design.blocks[[bool(text) for text in screening.responses.failures]])
         how = (
-            ", fitted effects stand in for them"
-            if design.method == "factorial"
-            else " and are left out"
+            "they are left out"
             if design.method == "lhs"
-            else f", {blocks.size} of {np.unique(design.blocks).size} {UNITS[design.method]} are "
+            else f"{blocks.size} of {np.unique(design.blocks).size} {UNITS[design.method]} are "
             "left out"
         )
-        said.append(f"{failed} of {len(design.points)} points failed{how}; the first: {first}")
-    said.append(proposed(screening))
-    said.extend(f"note: {note}" for note in notes(screening))
+        made.append(
+            f"{failed} of {len(design.points)} points failed; {how}. First failure: {first}"
+        )
+    made.append(proposed(screening))
+    made.extend(f"note: {note}" for note in notes(screening))
     if screening.points_by:
-        said.append(screening.points_by)
-    said.append(f"{runs.sentence}; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes")
-    return said
+        made.append(screening.points_by)
+    made.append(f"{runs.sentence}; {screening.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes")
+    return made
 
 
 def proposed(screening: Screening) -> str:
-    """Which parameters are to be updated, and what that leaves."""
+    """Return the sentence on the proposed parameters and the residual that they leave."""
     chosen = screening.choice.chosen
-    return f"proposed: {', '.join(chosen) if chosen else 'none of them'}" + _explained(screening)
+    return f"proposed: {', '.join(chosen) if chosen else 'none'}" + _explained(screening)
 
 
 def _explained(screening: Screening) -> str:
     left = screening.choice.misfits
     if len(left) < 2:
         return ""
-    return f"; linearly, {percent(left[-1])} % of the residual's square would be left"
+    return f"; by the linear model, {percent(left[-1])} % of the squared residual remains"
 
 
-#: Share of a frequency's variance that must be explained for the linear choice to be believed.
+#: Minimum explained share of a frequency's variance for which the linear choice is reliable.
 LEAST_EXPLAINED = 0.5
-#: A parameter with a smaller share of a mode's largest mu* has no say in what is chosen.
+#: Parameters with a smaller share of a mode's largest mu* are ignored in the notes.
 LEAST_EFFECT = 0.1
-#: Widest half of a 95 % interval of a Sobol index that still ranks.
+#: Largest half width of a Sobol index's 95 % interval that allows a ranking.
 WIDEST = 0.1
-HENCE = "so the choice, which is linear, may not hold over the bounds"
+HENCE = "so the choice, made by a linear model, may not hold over the whole bounds"
 
 
 def notes(screening: Screening) -> list[str]:
-    """Sentences, most general first; none where nothing is wanting."""
+    """Return the notes on doubtful points of the choice, most general first."""
     found = screening.indices
-    said = _fewer_than_asked(screening)
+    made = _fewer_than_requested(screening)
     if found is None:
-        return said
+        return made
     method = screening.design.method
     if method == "lhs":
-        said += _unexplained(screening, found.explained, "a plane explains")
+        made += _unexplained(screening, found.explained, "a linear model explains")
     elif method == "morris":
-        said += _scattered(screening, found)
+        made += _scattered(screening, found)
     elif method == "sobol":
         alone = np.where(found.moves.any(axis=1), found.measure("first").sum(axis=1), np.nan)
-        said += _unexplained(screening, alone, "the parameters, each alone, explain")
-        said += _wide(screening, found)
-    return said
+        made += _unexplained(screening, alone, "the parameters without interactions explain")
+        made += _wide(screening, found)
+    return made
 
 
-def _fewer_than_asked(screening: Screening) -> list[str]:
+def _fewer_than_requested(screening: Screening) -> list[str]:
     wanted, candidates, chosen = screening.wanted, len(screening.names), screening.choice.chosen
     if wanted <= len(chosen):
         return []
     why = (
         f"there are {candidates} candidates"
         if wanted > candidates
-        else "the test does not tell the others apart"
+        else "the test cannot distinguish the others"
     )
-    return [f"--choose {wanted}: {len(chosen)} are proposed, {why}"]
+    return [f"--choose {wanted}: only {len(chosen)} proposed, because {why}"]
 
 
 def _unexplained(screening: Screening, shares: Floats, what: str) -> list[str]:
     return [
         f"{name}: {what} {100.0 * max(share, 0.0):.0f} % of its variance, {HENCE}"
         for name, share in zip(screening.modes, shares.tolist(), strict=False)
-        if share < LEAST_EXPLAINED  # no number is less
+        if share < LEAST_EXPLAINED  # False for NaN
     ]
 
 
 def _scattered(screening: Screening, found: Indices) -> list[str]:
-    said = []
+    made = []
     sizes, spreads = found.measure("mu_star"), found.measure("sigma")
     for row, name in enumerate(screening.modes):
-        heard = sizes[row] >= LEAST_EFFECT * sizes[row].max()
+        active = sizes[row] >= LEAST_EFFECT * sizes[row].max()
         names = [
             screening.names[place]
-            for place in np.flatnonzero(heard & (spreads[row] > sizes[row])).tolist()
+            for place in np.flatnonzero(active & (spreads[row] > sizes[row])).tolist()
         ]
         if names:
-            said.append(f"{name}: sigma exceeds mu* of {', '.join(names)}, {HENCE}")
-    return said
+            made.append(f"{name}: sigma exceeds mu* of {', '.join(names)}, {HENCE}")
+    return made
 
 
 def _wide(screening: Screening, found: Indices) -> list[str]:
-    """Intervals narrow with the root of the number of base samples, a power of two."""
+    """Note wide intervals, which narrow with the root of the number of base samples."""
     n_modes, each = len(screening.numbers), len(screening.names) + 2
     half = float(found.measure("total_confidence")[:n_modes].max(initial=0.0))
     if not half > WIDEST:
@@ -358,5 +318,6 @@ def _wide(screening: Screening, found: Indices) -> list[str]:
     samples = found.used / each * (half / WIDEST) ** 2
     points = min(each * 2 ** int(np.ceil(np.log2(samples))), MOST_POINTS)
     return [
-        f"a total index is known to +-{half:.2g} only: too few points to rank: --points {points}"
+        f"total indices have intervals of up to +-{half:.2g}, too wide for a ranking: use --points "
+        f"{points}"
     ]

@@ -1,10 +1,10 @@
 """The page of one campaign for one user on this machine.
 
-It listens on the loopback device alone. The address holds a random token that opens it once; the
-browser has a cookie from then on, which no script reads and no other site's request carries. A
-request under another name of the host (DNS rebinding), and a change that another page asks for, are
-refused. No other origin is given anything (no CORS), and the page's policy lets run its own scripts
-only.
+The server listens only on the loopback device. Its address contains a random token that opens the
+page once; after that the browser has a cookie that no script can read and no request of another
+site carries. The server refuses requests under another host name (DNS rebinding) and changes
+requested by another page. There is no CORS, and the content security policy allows only the page's
+own scripts.
 """
 
 from __future__ import annotations
@@ -17,19 +17,15 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import uvicorn
 from fastapi import FastAPI, Query, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse
-from pydantic import BaseModel, ConfigDict, Field, field_validator
-from scipy.spatial.transform import Rotation
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError, ModetuneError
-from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign, store_of
-from modetune.flows.campaign.schema import Triple
 from modetune.flows.report.page import page
 from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
 from modetune.flows.studies.view.live_record import LiveRecord, live_json
@@ -37,14 +33,12 @@ from modetune.flows.studies.view.pairs import pairs_change, pairs_json
 from modetune.flows.studies.view.poles import Band, poles_change, poles_json
 from modetune.flows.studies.view.sensors import (
     Mark,
-    fitted_pose,
     landmarks_change,
-    pose_change,
     sensors_json,
 )
 
 LOOPBACK = "127.0.0.1"
-#: Seconds for which a browser keeps its cookie; it is worth nothing when the server has ended.
+#: Lifetime of the cookie, in seconds; it is worthless once the server has ended.
 DAY_S = 86400
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data: blob:; "
@@ -57,7 +51,7 @@ HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-#: What the page is made of, and the package that has it; the view in space is the report's.
+#: Files of the page, and the package of each; the 3D view belongs to the report.
 FILES = {
     **dict.fromkeys(("view.html", "view.js", "view.css"), "modetune.flows.studies.view"),
     **dict.fromkeys(("space.js", "charts.js", "page.css"), "modetune.flows.report"),
@@ -67,41 +61,18 @@ Order = Annotated[int, Query(ge=2, le=200)]
 Edge = Annotated[float | None, Query(ge=0.0, allow_inf_nan=False)]
 
 
-class Pose(BaseModel):
-    """How a test was laid by hand: from its axes to the model's, in the model's length."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    rotation: tuple[Triple, Triple, Triple]
-    translation: Triple
-
-    @field_validator("rotation")
-    @classmethod
-    def _proper(cls, rotation: tuple[Triple, Triple, Triple]) -> tuple[Triple, Triple, Triple]:
-        if not np.allclose(np.array(rotation) @ np.transpose(rotation), np.eye(3), atol=1e-3):
-            raise ValueError("rows of a rotation are unit vectors at right angles")
-        if np.linalg.det(rotation) < 0.0:
-            raise ValueError("a rotation does not mirror")
-        return rotation
-
-    def arrays(self) -> tuple[Floats, Floats]:
-        """Rotation (3, 3), made exact, and translation (3,)."""
-        nearest = Rotation.from_matrix(np.array(self.rotation)).as_matrix()
-        return np.asarray(nearest), np.array(self.translation)
-
-
 class PageRequest(BaseModel):
-    """One change that the page asks for; base: of the one that was shown, when it is to be written.
+    """One change that the page requests.
 
-    pairs: test mode to elastic mode; landmarks: test point to node or place; pose: the test moved
-    by hand; pick: Hz, with band and order of the diagram they were picked in.
+    base: hash of the file that the page showed; the server writes the change if it is given.
+    pairs: test mode to elastic mode. landmarks: test point to node or point of the model. pick:
+    frequencies in Hz, with the band and order of their diagram.
     """
 
     model_config = ConfigDict(extra="forbid")
 
     pairs: dict[int, Annotated[int, Field(ge=1)]] | None = None
     landmarks: dict[int, Mark] | None = None
-    pose: Pose | None = None
     configuration: str = ""
     pick: list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] | None = None
     band: tuple[float, float] | None = None
@@ -109,18 +80,16 @@ class PageRequest(BaseModel):
     base: str = ""
 
     def change(self, part: Part) -> Change:
-        """What it makes of a campaign file. Raises CampaignError."""
+        """Return the change of a campaign file. Raises CampaignError."""
         if self.pairs is not None:
             return pairs_change(part, self.pairs)
-        if self.pose is not None:
-            return pose_change(part, *self.pose.arrays())
         if self.landmarks is not None:
             return landmarks_change(part, self.landmarks)
         return poles_change(part, self.band, self.order, self.pick or ())
 
 
 class Guard:
-    """Who may ask: whoever opened the address with its token, from the page itself."""
+    """Allow requests only from a browser that opened the address with its token."""
 
     def __init__(self, port: int) -> None:
         self.token: str = secrets.token_urlsafe(32)
@@ -129,9 +98,9 @@ class Guard:
         self._opened = threading.Lock()
 
     async def __call__(
-        self, request: Request, go_on: Callable[[Request], Awaitable[Response]]
+        self, request: Request, proceed: Callable[[Request], Awaitable[Response]]
     ) -> Response:
-        response = self._answer(request) or await go_on(request)
+        response = self._answer(request) or await proceed(request)
         response.headers.setdefault("Content-Security-Policy", POLICY)
         for name, value in HEADERS.items():
             response.headers[name] = value
@@ -140,7 +109,7 @@ class Guard:
     def _answer(self, request: Request) -> Response | None:
         """Return the response in place of the page; None where the request is allowed."""
         if request.headers.get("host") not in self.hosts:
-            return PlainTextResponse("this host is not served here", 400)
+            return PlainTextResponse("unknown host name", 400)
         known = _same(request.cookies.get(self._cookie, ""), self._session)
         token = request.query_params.get("token")
         if token is not None and request.url.path == "/" and (known or self._is_first(token)):
@@ -151,14 +120,14 @@ class Guard:
             return opened
         if not known:
             return PlainTextResponse(
-                "Open this page by the address that `modetune view` printed. It opens once; where "
-                "it was used, start the command again.",
+                "Open the address that `modetune view` printed. It works once; to open the page "
+                "again elsewhere, restart the command.",
                 403,
             )
         if request.method not in ("GET", "HEAD") and request.headers.get("origin") not in {
             f"http://{host}" for host in self.hosts
         }:
-            return PlainTextResponse("changes are taken from this page only", 403)
+            return PlainTextResponse("only this page can request changes", 403)
         return None
 
     def _is_first(self, token: str) -> bool:
@@ -170,7 +139,7 @@ def _same(given: str, wanted: str) -> bool:
 
 
 def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) -> FastAPI:
-    """What answers the page; ending: set when it ends, which ends a solver run that it began.
+    """Return the page's server; `ending`, once set, cancels a solver run that the page started.
 
     Raises CampaignError.
     """
@@ -197,13 +166,13 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
 
     @app.get("/live")
     def live() -> Response:
-        told = {"name": campaign.name, "configurations": configuration_names(first)}
-        return JSONResponse({**told, **live_json(record, store)})
+        page_json = {"name": campaign.name, "configurations": configuration_names(first)}
+        return JSONResponse({**page_json, **live_json(record, store)})
 
     @app.get("/report")
     def report() -> Response:
         _, known = record.newest()
-        text = "<p>There is no iteration yet.</p>" if known is None else page(known)
+        text = "<p>No iteration yet.</p>" if known is None else page(known)
         return HTMLResponse(text, headers={"Content-Security-Policy": "frame-ancestors 'self'"})
 
     @app.get("/pairs")
@@ -221,16 +190,12 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
     def sensors(configuration: str = "") -> Response:
         return JSONResponse(sensors_json(part(configuration)))
 
-    @app.post("/fit")
-    def fit(asked: Pose, configuration: str = "") -> Response:
-        return JSONResponse(fitted_pose(part(configuration), *asked.arrays()))
-
     @app.post("/change")
-    def change(asked: PageRequest) -> Response:
-        made = asked.change(part(asked.configuration))
-        if asked.base:
-            made.write(asked.base)
-        return JSONResponse({**made.to_json(), "written": bool(asked.base)})
+    def change(request: PageRequest) -> Response:
+        made = request.change(part(request.configuration))
+        if request.base:
+            made.write(request.base)
+        return JSONResponse({**made.to_json(), "written": bool(request.base)})
 
     return app
 
@@ -241,7 +206,7 @@ def _file(name: str) -> Response:
 
 
 def serve_view(campaign: Path, runs: Path, port: int, opened: Callable[[str], None]) -> None:
-    """Serve the page until Ctrl-C; port: 0 for one that is free. opened: receives the address.
+    """Serve the page until Ctrl-C; port 0 takes a free one. opened: receives the address.
 
     Raises CampaignError.
     """
@@ -249,7 +214,7 @@ def serve_view(campaign: Path, runs: Path, port: int, opened: Callable[[str], No
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((LOOPBACK, port))
-            listening.listen()  # whoever comes at once waits
+            listening.listen()  # a browser that connects now waits for the server
         except OSError as error:
             raise CampaignError(f"port {port} cannot be used: {error.strerror}") from error
         guard, ending = Guard(listening.getsockname()[1]), threading.Event()

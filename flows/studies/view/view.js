@@ -1,4 +1,4 @@
-// The campaign live, and pairs, poles and landmarks set by hand; the view in space is the report's.
+// The running campaign; pairs, poles and landmarks set by the user. The 3D view is the report's.
 "use strict";
 (() => {
   const by = (id) => document.getElementById(id);
@@ -8,15 +8,15 @@
   async function ask(path, body) {
     const options = body && { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
     let answer;
-    try { answer = await fetch(path, options); } catch { throw new Error("modetune view has ended; start it again"); }
+    try { answer = await fetch(path, options); } catch { throw new Error("modetune view is no longer running; restart it"); }
     if (answer.ok) return answer.json();
-    const told = await answer.text();
-    let problems = [told];
-    try { problems = JSON.parse(told).problems || [told]; } catch { /* a plain sentence */ }
+    const text = await answer.text();
+    let problems = [text];
+    try { problems = JSON.parse(text).problems || [text]; } catch { /* plain text */ }
     throw new Error(problems.join("\n"));
   }
-  // Work whose trouble is told on the page, which takes no presses meanwhile.
-  const told = (work) => async (...args) => {
+  // Run `work` with the page inert, and show its error on the page.
+  const guarded = (work) => async (...args) => {
     by("problem").hidden = true;
     document.body.setAttribute("aria-busy", "true");
     document.querySelector("main").inert = true;
@@ -29,7 +29,7 @@
     }
   };
 
-  // The campaign, asked for once a second while somebody looks.
+  // Poll the campaign once a second while the page is visible.
   let mark = null, frameMark = null;
   function table({ title, heads, words, rows }) {
     const made = make("table"), row = made.createTHead().insertRow();
@@ -62,17 +62,17 @@
         if (live.mark !== mark) by("tables").replaceChildren(...live.tables.flatMap(table));
         mark = live.mark;
         by("reload").hidden = mark === frameMark;
-        by("shown").textContent = mark === frameMark ? "The report as the record stands." : "There is a newer iteration.";
+        by("shown").textContent = mark === frameMark ? "The report of the current record." : "A newer iteration is available.";
       } catch (error) { by("status").textContent = error.message; by("reason").textContent = ""; }
     }
     setTimeout(look, 1000);
   }
   const reload = () => { frameMark = mark; by("report").src = "/report?" + encodeURIComponent(mark) + "#shapes"; };
 
-  // A change is shown as it will stand in the file, and written on a second word.
+  // Show a change as a difference of the file, and write it after confirmation.
   let shown = null;
   const configuration = () => by("configuration").value;
-  const propose = (asked) => told(async () => {
+  const propose = (asked) => guarded(async () => {
     const body = { ...asked(), configuration: configuration() }, found = await ask("/change", body);
     shown = { ...body, base: found.base };
     by("change-file").textContent = found.file;
@@ -80,7 +80,7 @@
     list("change-notes", found.notes);
     by("diff").replaceChildren(...found.diff.slice(2).map((line) => make("div", line || " ",
       { className: line[0] === "+" ? "added" : line[0] === "-" ? "gone" : "" })));
-    if (!found.diff.length) by("diff").textContent = "nothing changes in the file";
+    if (!found.diff.length) by("diff").textContent = "The file does not change.";
     by("change").showModal();
   })();
   async function write() {
@@ -91,7 +91,7 @@
 
   // Pairs.
   let pairs = null;
-  const showPairs = (solve) => told(async () => {
+  const showPairs = (solve) => guarded(async () => {
     const found = await ask("/pairs?" + new URLSearchParams({ solve, configuration: configuration() }));
     by("solving").hidden = !found.unsolved;
     by("mac").replaceChildren();
@@ -154,7 +154,7 @@
     }));
   }
   const pick = (track) => { track.picked = !track.picked; drawPoles(); };
-  const showPoles = told(async () => {
+  const showPoles = guarded(async () => {
     const [low, high, order] = ["low", "high", "order"].map((id) => by(id).value);
     by("diagram").replaceChildren();
     diagram = await ask("/poles?" + new URLSearchParams({ order, configuration: configuration(), ...(low && high ? { low, high } : {}) }));
@@ -165,8 +165,8 @@
   });
 
   // Sensors.
-  let scene = null, landmarks = new Map(), chosen = null, spaces = null, pose = null, byHand = false;
-  // A press that did not turn the view finds the point it is on.
+  let scene = null, landmarks = new Map(), chosen = null, spaces = null;
+  // A click that did not rotate the view selects the point under it.
   const found = (one, x, y) => one.space.under(one.layer, x, y, 14);
   function onPress(one, work) {
     let from = [0, 0];
@@ -180,10 +180,10 @@
   const { unpack } = modetune;
   const ink = (name) => modetune.rgb(modetune.colour(name));
   function space(id, text) {
-    const fresh = by(id).cloneNode();  // no views and no listeners of an earlier scene
+    const fresh = by(id).cloneNode();  // without the views and listeners of the previous scene
     by(id).replaceWith(fresh);
     const made = modetune.space(fresh);
-    if (!made) throw new Error("this browser has no WebGL 2: write `test.sensors.match` by hand");
+    if (!made) throw new Error("this browser has no WebGL 2: edit `test.sensors.match` in the campaign file");
     made.paper = ink("paper");
     return { space: made, places: unpack(text, Float32Array) };
   }
@@ -194,7 +194,7 @@
     const taken = new Set(landmarks.values());
     model.layer.paint(Float32Array.from(scene.nodes.flatMap((node) => (taken.has(node) ? now : ink("mesh")))));
     [test, model].forEach((one) => one.space.ask());
-    by("point").textContent = chosen === null ? "" : `point ${chosen}: now press its node`;
+    by("point").textContent = chosen === null ? "" : `point ${chosen}: now click its node`;
     const head = ["test point", "node of the model", ""], body = [...landmarks].sort(([a], [b]) => a - b);
     by("landmarks").replaceChildren();
     const row = by("landmarks").createTHead().insertRow();
@@ -211,57 +211,16 @@
       line.insertCell().append(make("button", "remove", { type: "button", onclick: () => { landmarks.delete(point); paintPoints(); } }));
     }
   }
-  // The test by hand: y = s R x + t, moved in the plane of the view or turned about its own middle.
+  // Coordinates of the test on the model: y = s R x + t.
   const times = (matrix, [x, y, z]) => matrix.map((row) => row[0] * x + row[1] * y + row[2] * z);
-  function laid(places) {
+  function laid(places, pose) {
     const out = new Float32Array(places.length);
     for (let at = 0; at < places.length; at += 3) {
       times(pose.rotation, places.subarray(at, at + 3)).forEach((v, k) => { out[at + k] = pose.scale * v + pose.translation[k]; });
     }
     return out;
   }
-  function moveTest() {
-    const [test, model] = spaces, now = laid(test.places);
-    model.test.forEach((layer) => layer.move(now.map((v, i) => v - layer.places[i])));
-    model.space.ask();
-    byHand = true;
-  }
-  function drag(tool) {
-    return (across, down, shift) => {
-      const [test, model] = spaces, [right, up, towards, pixel] = model.space.plane();
-      if (tool === "move" && !shift) {
-        pose.translation = pose.translation.map((v, k) => v + pixel * (across * right[k] - down * up[k]));
-      } else {
-        const places = laid(test.places), middle = [0, 1, 2].map((k) => {
-          let sum = 0;
-          for (let at = k; at < places.length; at += 3) sum += places[at];
-          return 3 * sum / places.length;
-        });
-        // Half a degree a pixel about the upright and the level of the view, by Rodrigues' formula.
-        const angle = Math.hypot(across, down) * Math.PI / 360, size = Math.hypot(across, down) || 1;
-        const axis = right.map((v, k) => (v * down + up[k] * across) / size), [c, s] = [Math.cos(angle), Math.sin(angle)];
-        const cross = [[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]];
-        const turn = axis.map((a, i) => axis.map((b, j) => (i === j ? c : 0) + (1 - c) * a * b + s * cross[i][j]));
-        const columns = [0, 1, 2].map((j) => times(turn, pose.rotation.map((row) => row[j])));
-        pose.rotation = [0, 1, 2].map((i) => columns.map((column) => column[i]));
-        pose.translation = times(turn, pose.translation.map((v, k) => v - middle[k])).map((v, k) => v + middle[k]);
-      }
-      moveTest();
-    };
-  }
-  const tools = [...document.querySelectorAll("[data-tool]")];
-  function choose(tool) {
-    tools.forEach((one) => one.setAttribute("aria-pressed", String(one.dataset.tool === tool)));
-    spaces[1].space.onDrag = tool === "view" ? null : drag(tool);
-  }
-  const fitFromHere = told(async () => {
-    const { rotation, translation } = pose;
-    const found = await ask("/fit?" + new URLSearchParams({ configuration: configuration() }), { rotation, translation });
-    pose = found.pose;
-    by("fitted").textContent = found.notes.join("; ");
-    moveTest();
-  });
-  const showSensors = told(async () => {
+  const showSensors = guarded(async () => {
     scene = await ask("/sensors?" + new URLSearchParams({ configuration: configuration() }));
     landmarks = new Map(Object.entries(scene.landmarks).map(([point, node]) => [Number(point), node]));
     chosen = null;
@@ -273,20 +232,16 @@
     model.space.surface(model.places, unpack(scene.triangles, Uint32Array), { low: ink("mesh"), alpha: 1 });
     model.space.lines(model.places, unpack(scene.edges, Uint32Array), { low: ink("soft"), size: 1 });
     model.layer = model.space.points(model.places, { low: ink("mesh"), size: 5 });
-    pose = scene.pose;
-    byHand = false;
-    const first = laid(test.places);
-    model.test = [model.space.lines(first, unpack(scene.lines, Uint32Array), { low: ink("accent"), size: 1.5, through: true }),
-      model.space.points(first, { low: ink("accent"), size: 7, through: true })];
+    const first = laid(test.places, scene.pose);
+    model.space.lines(first, unpack(scene.lines, Uint32Array), { low: ink("accent"), size: 1.5, through: true });
+    model.space.points(first, { low: ink("accent"), size: 7, through: true });
     model.space.factor = 1;
     spaces = [test, model];
-    by("fitted").textContent = "";
-    choose("view");
     onPress(test, (row) => { chosen = scene.points[row]; paintPoints(); });
     onPress(model, (row) => {
-      if (chosen === null) { by("point").textContent = "press a point of the test first"; return; }
+      if (chosen === null) { by("point").textContent = "click a test point first"; return; }
       landmarks.set(chosen, scene.nodes[row]);
-      [chosen, byHand] = [null, false];
+      chosen = null;
       paintPoints();
     });
     paintPoints();
@@ -311,21 +266,14 @@
     pick: diagram ? diagram.tracks.filter((one) => one.picked).map((one) => one.hz) : [],
     band: diagram && diagram.band, order: diagram ? diagram.order : 60,
   })));
-  by("sensors-change").addEventListener("click", () => propose(() => (byHand
-    ? { pose: { rotation: pose.rotation, translation: pose.translation } } : { landmarks: Object.fromEntries(landmarks) })));
-  tools.forEach((one) => one.addEventListener("click", () => spaces && choose(one.dataset.tool)));
-  by("fit").addEventListener("click", fitFromHere);
+  by("sensors-change").addEventListener("click", () => propose(() => ({ landmarks: Object.fromEntries(landmarks) })));
   by("configuration").addEventListener("change", () => open(document.querySelector("[aria-selected=true]").dataset.tab));
   by("write").addEventListener("click", write);
   by("cancel").addEventListener("click", () => by("change").close());
-  modetune.press = (which, number) => {  // where a point is on its canvas, and what a press there finds
+  modetune.press = (which, number) => {  // the position of a point on its canvas, and the point that a click there selects
     const [one, numbers] = which === "test" ? [spaces[0], scene.points] : [spaces[1], scene.nodes];
     const [x, y] = one.space.where(one.layer, numbers.indexOf(number));
     return { x, y, number: numbers[found(one, x, y)] };
-  };
-  modetune.pose = () => {  // how the test lies, and how it is looked at
-    const { space } = spaces[1], pixel = space.plane()[3];
-    return { ...pose, pixel, eye: [space.azimuth, space.elevation, space.zoom, ...space.pan] };
   };
   open(tabs[location.hash.slice(1)] ? location.hash.slice(1) : "live");
   look();

@@ -78,7 +78,7 @@ def test_sobol_indices_of_the_g_function_are_products_of_its_variances() -> None
 
 @pytest.mark.parametrize(
     ("method", "points", "tolerance"),
-    [("morris", 40, 1e-9), ("sobol", 5 * 1024, 0.02), ("lhs", 50, 1e-9), ("factorial", 8, 1e-9)],
+    [("morris", 40, 1e-9), ("sobol", 5 * 1024, 0.02), ("lhs", 50, 1e-9)],
 )
 def test_every_method_moves_a_linear_response_by_slope_times_range(
     method: ScreeningMethod, points: int, tolerance: float
@@ -144,40 +144,6 @@ def test_rank_correlation_sees_a_curve_that_regression_does_not_explain() -> Non
     assert found.explained[0] < 0.7
 
 
-def test_factorial_tells_main_effects_from_an_interaction() -> None:
-    def product(x: Floats) -> Floats:
-        return np.asarray(3.0 * x[:, 0] * x[:, 1] + 2.0 * x[:, 2])
-
-    found = indices("factorial", product, -np.ones(3), np.ones(3), 8)
-    np.testing.assert_allclose(found.measure("main_effect")[0], [0.0, 0.0, 4.0], atol=1e-12)
-    # Half the difference of the effect of one at the other's ends: (6 - (-6)) / 2.
-    assert found.interactions[0, 0, 1] == pytest.approx(6.0)
-    # Sums of squares of both terms: 9 and 4.
-    assert found.interaction_shares[0, 0, 1] == pytest.approx(9.0 / 13.0)
-    assert found.measure("main_share")[0, 2] == pytest.approx(4.0 / 13.0)
-    assert found.explained[0] == pytest.approx(1.0)
-
-
-def test_a_factorial_of_three_levels_sees_a_curve_without_main_effect() -> None:
-    found = indices("factorial", lambda x: x[:, 0] ** 2, -np.ones(2), np.ones(2), 9, levels=3)
-    assert found.measure("main_effect")[0, 0] == pytest.approx(0.0)
-    assert found.measure("main_share")[0, 0] == pytest.approx(1.0)
-    assert found.moves[0, 0] == pytest.approx(1.0)
-
-
-def test_failed_points_of_a_factorial_do_not_change_what_interactions_of_two_explain() -> None:
-    rng = np.random.default_rng(3)
-    design = make_design("factorial", np.zeros(4), np.ones(4), rng)
-    x = design.points
-    responses = np.stack([x @ np.arange(4.0) + x[:, 0] * x[:, 3], x[:, 1] * x[:, 2]], axis=1)
-    whole = design_indices(design, responses, rng)
-    responses[[2, 11]] = np.nan
-    broken = design_indices(design, responses, rng)
-    np.testing.assert_allclose(broken.values, whole.values, atol=1e-12)
-    np.testing.assert_allclose(broken.interactions, whole.interactions, atol=1e-12)
-    assert (whole.used, broken.used) == (16, 14)
-
-
 @pytest.mark.parametrize("method", ["morris", "sobol"])
 def test_a_failed_point_leaves_out_its_whole_block(method: ScreeningMethod) -> None:
     design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 200)
@@ -194,7 +160,7 @@ def test_a_failed_point_leaves_out_its_whole_block(method: ScreeningMethod) -> N
     assert found.used == len(design.points) - each
 
 
-@pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
+@pytest.mark.parametrize("method", ["morris", "sobol", "lhs"])
 def test_too_few_good_points_are_told(method: ScreeningMethod) -> None:
     design = make_design(method, LOWER, UPPER, np.random.default_rng(5), 60)
     responses = np.full((len(design.points), 1), np.nan)
@@ -203,7 +169,7 @@ def test_too_few_good_points_are_told(method: ScreeningMethod) -> None:
         design_indices(design, responses, np.random.default_rng(1))
 
 
-@pytest.mark.parametrize("method", ["morris", "sobol", "lhs", "factorial"])
+@pytest.mark.parametrize("method", ["morris", "sobol", "lhs"])
 def test_a_response_that_nothing_moves_has_no_effects(method: ScreeningMethod) -> None:
     found = indices(method, lambda x: np.full(len(x), 0.1), LOWER, UPPER, 60)
     assert not found.values.any()
@@ -227,8 +193,8 @@ def test_designs_lie_in_their_bounds_and_come_again_from_their_seed(
 
 @pytest.mark.parametrize(
     ("method", "points", "n"),
-    # Three parameters: trajectories of 4, base samples of 5 in a power of two, 2^3 corners.
-    [("local", 90, 0), ("morris", 90, 88), ("sobol", 90, 80), ("lhs", 90, 90), ("factorial", 90, 8),
+    # Three parameters: trajectories of 4, base samples of 5 in a power of two.
+    [("local", 90, 0), ("morris", 90, 88), ("sobol", 90, 80), ("lhs", 90, 90),
      ("morris", None, 40), ("sobol", None, 320), ("lhs", None, 30)],
 )  # fmt: skip
 def test_designs_have_at_most_the_points_that_were_asked_for(
@@ -241,15 +207,13 @@ def test_designs_have_at_most_the_points_that_were_asked_for(
 @pytest.mark.parametrize(
     ("method", "points", "levels", "said"),
     [
-        ("morris", 7, None, "needs 8"),
-        ("sobol", 39, None, "needs 40"),
-        ("lhs", 4, None, "needs 5"),
+        ("morris", 7, None, "at least 8"),
+        ("sobol", 39, None, "at least 40"),
+        ("lhs", 4, None, "at least 5"),
         ("lhs", 0, None, "expected one or more"),
         ("morris", 40, 3, "even"),
-        ("factorial", 40, 1, "2 or more"),
-        ("sobol", 80, 4, "has none"),
-        ("factorial", 8, 3, "has 27 points"),
-        ("lhs", 10**9, None, "at most"),
+        ("sobol", 80, 4, "has no levels"),
+        ("lhs", 10**9, None, "maximum is"),
     ],
 )
 def test_a_design_that_cannot_be_is_refused_with_a_remedy(

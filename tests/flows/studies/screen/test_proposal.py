@@ -212,7 +212,7 @@ def test_the_campaign_itself_is_never_overwritten(campaign_file: Path) -> None:
 
 def test_nothing_chosen_writes_nothing(campaign_file: Path) -> None:
     out = campaign_file.with_name("p.yaml")
-    with pytest.raises(CampaignError, match="chose no parameter"):
+    with pytest.raises(CampaignError, match="rejected all parameters"):
         write_proposal(campaign_file, screening(KS, ()), out)
     assert not out.exists()
 
