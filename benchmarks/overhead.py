@@ -49,8 +49,8 @@ from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.prefect_server import SharedServer, use_server
+from modetune.flows.jobs.runner import Attempt, Costs, PoolRunner, Runner, WorkerRequest
 from modetune.flows.jobs.tasks import Tasks
-from modetune.flows.jobs.work import Attempt, Ledger, Order, PoolRunner, Runner
 from modetune.flows.server.prefect_client import prefect_client
 
 PROGRAM = "/bin/true"
@@ -109,7 +109,7 @@ def supervised(count: int, parallel: int, folder: Path) -> None:
         list(pool.map(run, range(count)))
 
 
-def engine(folder: Path, runner: Runner, order: Order | None = None) -> JobEngine:
+def engine(folder: Path, runner: Runner, order: WorkerRequest | None = None) -> JobEngine:
     """A job engine on its own store."""
     cores = len(os.sched_getaffinity(0))
     return JobEngine(
@@ -121,13 +121,13 @@ def engine(folder: Path, runner: Runner, order: Order | None = None) -> JobEngin
         cancelled=threading.Event(),
         counter=MachineLimits(folder / "limits"),
         limits=(Limit(CORES, cores, 1),),
-        ledger=Ledger(),
+        costs=Costs(),
         tasks=Tasks(runner),
         order=order,
     )
 
 
-def attempt_there(order: Order, ledger: Ledger) -> Attempt:
+def attempt_there(order: WorkerRequest, costs: Costs) -> Attempt:
     """The attempts of the engine in a worker of a Dask cluster."""
     return engine(order.store.parent, PoolRunner(1)).attempt
 
@@ -144,7 +144,7 @@ def works(count: int) -> list[Work]:
 def carry_out(count: int, folder: Path, runner: Runner) -> None:
     """Run as many jobs on a runner; every job must have been run."""
     folder.mkdir()
-    order = Order(folder.name, folder, (), folder / "store", 1, 0, False, attempt_there)
+    order = WorkerRequest(folder.name, folder, (), folder / "store", 1, 0, False, attempt_there)
     outcomes = Execution(engine(folder, runner, order)).run("benchmark", works(count))
     assert all(isinstance(done, tuple) and not done[0].reused for done in outcomes)
 

@@ -32,9 +32,9 @@ from modetune.core.storage.keys import canonical_json, content_key
 from modetune.core.storage.sealed_file import BLOCK, _block, read_head
 from modetune.core.storage.store import TITLE, Entry, Store
 from modetune.core.updating.job_results import ModalResult
-from modetune.flows.jobs.explain import AskedJob, asked_of
 from modetune.flows.jobs.job import JobNote
-from modetune.flows.jobs.store_index import Chosen, StoreIndex, ask_index
+from modetune.flows.jobs.job_difference import JobDescription, job_of_holding
+from modetune.flows.jobs.store_index import EntryFilter, StoreIndex, query_index
 
 PARAMETERS, DECKS = 12, ("wing_a", "wing_b", "wing_c", "wing_d")
 #: As the commands ask: newest results before a start, and after an iteration.
@@ -90,10 +90,10 @@ def timed(what: str) -> Iterator[None]:
 
 def ask(what: str, store: Store, question: Callable[[StoreIndex], object]) -> None:
     with timed(what):
-        ask_index(store, question)
+        query_index(store, question)
 
 
-def read_all(store: Store, job: AskedJob) -> None:
+def read_all(store: Store, job: JobDescription) -> None:
     """The nearest result by every entry's head, as without an index."""
     for path in store.entries():
         with path.open("rb") as file:
@@ -105,7 +105,7 @@ def questions(store: Store, count: int) -> None:
     shutil.rmtree(store.folder / "index", ignore_errors=True)
     holding = store.holding(str(head_of(0, np.random.default_rng(0))["key"]))
     assert holding is not None
-    job = replace(asked_of(holding), key="f" * 64)
+    job = replace(job_of_holding(holding), key="f" * 64)
     with timed("every entry's head, read"):
         read_all(store, job)
     ask("forecast before a start, no index yet", store, lambda index: index.newest(NEWEST))
@@ -117,7 +117,7 @@ def questions(store: Store, count: int) -> None:
         ask("forecast after an iteration", store, lambda index: index.newest(NEWEST_LATER))
     ask("nearest, for one job", store, lambda index: index.nearest(job))
     ask("nearest, for 20 jobs", store, lambda index: [index.nearest(job) for _ in range(20)])
-    ask("a list of all", store, lambda index: index.entries(Chosen()))
+    ask("a list of all", store, lambda index: index.entries(EntryFilter()))
     with timed("a lookup, 1000 times"):
         for _ in range(1000):
             assert job.key not in store

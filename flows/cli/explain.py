@@ -17,7 +17,7 @@ from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.flows.jobs.explain import AskedJob, Nearest
+    from modetune.flows.jobs.job_difference import JobDescription, Nearest
     from modetune.flows.jobs.lookup import Explanation
 
 #: Digits of a key that are shown.
@@ -60,7 +60,7 @@ def nearest_line(found: Nearest | None) -> str:
 
 
 def _lines(found: Explanation) -> list[tuple[str, str]]:
-    from modetune.flows.jobs.explain import describe
+    from modetune.flows.jobs.job_difference import describe
 
     lines = [("job", found.key), ("state", found.state)]
     lines += describe(found.job) if found.job else [("what", "not known: no note is with it")]
@@ -86,7 +86,7 @@ def _told(found: Explanation) -> dict[str, Json]:
     )
 
 
-def job_json(job: AskedJob | None) -> dict[str, Json] | None:
+def job_json(job: JobDescription | None) -> dict[str, Json] | None:
     """A job for machines."""
     if job is None:
         return None

@@ -80,12 +80,12 @@ def store_list(
     as_json: AsJson = False,
 ) -> None:
     """List results with their date, size, content and cost."""
-    from modetune.flows.jobs.store_index import Chosen, ask_index
+    from modetune.flows.jobs.store_index import EntryFilter, query_index
 
     place, _ = store_and_campaign(store)
-    before_ns = int((time.time() - age_s(older)) * 1e9) if older else Chosen().before_ns
-    chosen = Chosen(before_ns, size_bytes(larger) if larger else 0)
-    found = ask_index(place, lambda index: index.entries(chosen, limit or -1, _order(by)))
+    before_ns = int((time.time() - age_s(older)) * 1e9) if older else EntryFilter().before_ns
+    chosen = EntryFilter(before_ns, size_bytes(larger) if larger else 0)
+    found = query_index(place, lambda index: index.entries(chosen, limit or -1, _order(by)))
     told: Json = {"store": str(place.folder), "results": list(map(_told, found))}
     none = [] if found else [f"{place.folder} has no such result"]
     rows = [_row(entry, time.time()) for entry in found]
@@ -94,8 +94,8 @@ def store_list(
 
 def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
     """Show the size of the store by solver, model and analysis."""
-    from modetune.flows.jobs.store_files import beside
-    from modetune.flows.jobs.store_index import ask_index
+    from modetune.flows.jobs.store_files import other_files
+    from modetune.flows.jobs.store_index import query_index
 
     place, _ = store_and_campaign(store)
     sums: dict[tuple[str, str, str], tuple[int, int, float]] = {}
@@ -104,12 +104,12 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         files, size, wall_s = sums.get(name, (0, 0, 0.0))
         sums[name] = files + int(more[0]), size + int(more[1]), wall_s + more[2]
 
-    for job, count, size, wall_s in ask_index(place, lambda index: index.sums()):
+    for job, count, size, wall_s in query_index(place, lambda index: index.sums()):
         if job is None:
             add(("cannot be read", "", ""), count, size, 0.0)
         else:
             add((job.kind, job.solver, job.note.model if job.note else ""), count, size, wall_s)
-    for item in beside(place, time.time()):
+    for item in other_files(place, time.time()):
         add((item.what, "", ""), 1, item.size, 0.0)
     sorted_sums = sorted(sums.items(), key=lambda item: -item[1][1])
     total = sum(size for _, size, _ in sums.values())

@@ -19,16 +19,23 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import CORES, Limit, Limits, MachineLimits
 from modetune.flows.jobs.policy import Policy
-from modetune.flows.jobs.scratch import remove_abandoned
+from modetune.flows.jobs.progress import current_display
+from modetune.flows.jobs.runner import (
+    Attempt,
+    Costs,
+    PoolRunner,
+    StoredResult,
+    Tries,
+    WorkerRequest,
+    end_event,
+)
 from modetune.flows.jobs.slurm import on_slurm
-from modetune.flows.jobs.store_files import in_use
-from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with, study_run
-from modetune.flows.jobs.watching import current_display
-from modetune.flows.jobs.work import Attempt, Ledger, Order, PoolRunner, Solved, Tries, run_end
+from modetune.flows.jobs.store_files import in_use, remove_abandoned
+from modetune.flows.jobs.tasks import StudyRun, Tasks, study_run, use_run
 
 
 def job_engine(campaign: Campaign) -> JobEngine:
-    """The engine that solves the jobs of a campaign's first case, on the runner of the study."""
+    """Return the engine for a campaign's first case, on the runner of the current study."""
     run, solver, study = campaign.run, campaign.cases[0].solver, study_run()
     remove_abandoned(campaign.store)
     limits = [Limit(CORES, max(cores(), 0 if run.here else campaign.threads), campaign.threads)]
@@ -58,7 +65,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
         cancelled=threading.Event() if study is None else study.cancellation(),
         counter=counter,
         limits=tuple(limits),
-        ledger=Ledger(),
+        costs=Costs(),
         tasks=Tasks(
             PoolRunner(campaign.parallel) if study is None else study.runner, current_display()
         ),
@@ -68,7 +75,7 @@ def job_engine(campaign: Campaign) -> JobEngine:
 
 
 def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:
-    """The campaign's engine for the model of one of its cases."""
+    """Return a campaign's engine for the model of one of its cases."""
     if case.solver is engine.solver:
         return engine
     solver, name = case.solver, case.solver.program.name
@@ -87,9 +94,8 @@ def _counted_by_prefect(counter: Limits) -> Limits:
     return PrefectLimits(counter)
 
 
-def _order(campaign: Campaign, licences: bool) -> Order:
-    """What a process on another machine needs to solve jobs of the campaign's first case."""
-    return Order(
+def _order(campaign: Campaign, licences: bool) -> WorkerRequest:
+    return WorkerRequest(
         run=uuid.uuid4().hex,
         file=campaign.file.resolve(),
         settings=campaign.settings,
@@ -97,20 +103,20 @@ def _order(campaign: Campaign, licences: bool) -> Order:
         threads=campaign.threads,
         model=0,
         licences=licences,
-        make=attempts_elsewhere,
+        make=worker_attempts,
     )
 
 
-def attempts_elsewhere(order: Order, ledger: Ledger) -> Attempt:
-    """In another process: what tries the jobs of an order, its costs on a ledger."""
-    engine = replace(_engine_elsewhere(order), ledger=ledger)
+def worker_attempts(order: WorkerRequest, costs: Costs) -> Attempt:
+    """Return, in a worker process, the function that attempts jobs and adds their costs."""
+    engine = replace(_engine_elsewhere(order), costs=costs)
 
-    def attempt(job: Job, key: str, tries: Tries) -> Solved:
+    def attempt(job: Job, key: str, tries: Tries) -> StoredResult:
         if engine.key(job) != key:
             raise CampaignError(
-                f"a Dask worker makes another job of {order.file} than was asked for: it has "
-                f"{engine.program.name} {engine.program.version()}; solver version, deck and "
-                "campaign must be the same on all machines"
+                f"a Dask worker got a different job key from {order.file}: it has "
+                f"{engine.program.name} {engine.program.version()}; use the same solver version, "
+                "deck and campaign on all machines"
             )
         return engine.attempt(job, key, tries)
 
@@ -118,7 +124,7 @@ def attempts_elsewhere(order: Order, ledger: Ledger) -> Attempt:
 
 
 @lru_cache(maxsize=8)
-def _engine_elsewhere(order: Order) -> JobEngine:
+def _engine_elsewhere(order: WorkerRequest) -> JobEngine:
     file, settings = order.file, list(order.settings)
     try:
         campaign = load_campaign(file, settings)
@@ -128,26 +134,28 @@ def _engine_elsewhere(order: Order) -> JobEngine:
     engine = engine_of(job_engine(campaign), campaign, campaign.cases[order.model])
     if order.licences:
         engine = replace(engine, counter=_counted_by_prefect(engine.counter))
-    return replace(engine, threads=order.threads, cancelled=run_end(order.run))
+    return replace(engine, threads=order.threads, cancelled=end_event(order.run))
 
 
 @contextmanager
 def _runner(campaign: Campaign) -> Iterator[None]:
-    """The runner that the campaign asks for, where no study has entered one."""
+    """Use the campaign's Dask cluster unless the study already has a runner."""
     if study_run() is not None or campaign.run.engine != "dask":
         yield
         return
     from modetune.flows.jobs.dask_cluster import dask_runner
 
     with dask_runner(campaign.run.dask, campaign.threads, campaign.parallel) as runner:
-        with running_with(StudyRun(runner)):
+        with use_run(StudyRun(runner)):
             yield
 
 
 @contextmanager
 def solving_engine(campaign: Campaign) -> Iterator[JobEngine]:
-    """The engine that solves a campaign's jobs where the campaign says. The store keeps what it has
-    in here, and jobs of other threads end when this is broken off."""
+    """Open a campaign's engine; no stored result is removed while it is open.
+
+    An exception cancels the jobs of all threads.
+    """
     with in_use(campaign.store), _runner(campaign):
         engine = job_engine(campaign)
         try:

@@ -1,7 +1,7 @@
-"""Dask clusters: one that runs, worker processes of this machine, or jobs of a queue.
+"""Dask clusters: a running one, worker processes of this machine, or jobs of a queue.
 
-Whoever reaches a Dask scheduler can run programs as its user. Those started here therefore speak
-TLS with keys of their own, which leave this process only for the workers.
+Anybody who can connect to a Dask scheduler can run programs as its user. Clusters started here
+therefore use TLS with new keys, which only the workers receive.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any
 
 from modetune.core.errors import CampaignError, ModetuneError, SolverCrashed
 from modetune.flows.campaign.site import DaskSection, server_home
+from modetune.flows.jobs.runner import PoolRunner, Task, TaskResult, TaskRun, end_event, retry
 from modetune.flows.jobs.server_client import ServerClient
-from modetune.flows.jobs.work import Answer, Piece, PoolRunner, Task, run_end, tried
 
-#: How long a scheduler may take to answer, and workers to end their solvers, seconds.
+#: Seconds until a scheduler must answer, and until workers must have stopped their solvers.
 CONNECT_S, END_S = 20.0, 10.0
 MISSING = (
     "`engine: dask` needs the package {}; install all it needs with "
@@ -32,14 +32,14 @@ JOB_CLUSTERS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster
 
 
 def check_packages(section: DaskSection) -> None:
-    """Import what a cluster needs, from the main thread. Raises CampaignError."""
+    """Import the packages of a cluster, in the main thread. Raises CampaignError."""
     ending = signal.getsignal(signal.SIGINT)
     try:
         import_module("distributed")
         if section.scheduler is None:
             import_module("cryptography")
         if section.cluster != "local":
-            # Takes Ctrl-C for itself at its import, which only the main thread may do.
+            # Installs a handler of Ctrl-C at import, which is possible only in the main thread.
             import_module("dask_jobqueue")
             signal.signal(signal.SIGINT, ending)
     except ImportError as error:
@@ -48,8 +48,10 @@ def check_packages(section: DaskSection) -> None:
 
 @contextmanager
 def cluster(section: DaskSection, threads: int) -> Iterator[str | Any]:
-    """The cluster that a campaign asks for: the address of a running scheduler, or a cluster of our
-    own, which ends with this. threads: of each job. Raises CampaignError."""
+    """Open a campaign's cluster: the address of a running scheduler, or a new cluster.
+
+    A new cluster ends with the context; threads is the number per job. Raises CampaignError.
+    """
     check_packages(section)
     _quiet()
     if section.scheduler is not None:
@@ -60,9 +62,9 @@ def cluster(section: DaskSection, threads: int) -> Iterator[str | Any]:
             own = _local(section, import_module("distributed"))
         else:
             own = _queued(section, threads)
-    except (OSError, ValueError, RuntimeError) as error:  # what Dask raises where it cannot start
+    except (OSError, ValueError, RuntimeError) as error:  # raised by Dask if it cannot start
         raise CampaignError(
-            f"no Dask cluster ({section.cluster}) could be started: {_reason(error)}"
+            f"the Dask cluster ({section.cluster}) did not start: {_reason(error)}"
         ) from error
     try:
         yield own
@@ -71,18 +73,18 @@ def cluster(section: DaskSection, threads: int) -> Iterator[str | Any]:
 
 
 def connected(connect: Callable[[], Any], section: DaskSection) -> Any:
-    """The client of a cluster. Raises CampaignError where no scheduler answers."""
+    """Return the client of a cluster. Raises CampaignError if no scheduler answers."""
     try:
         return connect()
     except (OSError, ValueError) as error:
         raise CampaignError(
-            f"no Dask scheduler answers at {section.scheduler or section.cluster} within "
+            f"no Dask scheduler answered at {section.scheduler or section.cluster} within "
             f"{CONNECT_S:g} s; start it (`dask scheduler`) or correct `run.dask.scheduler`"
         ) from error
 
 
 def workers_apart(client: Any, url: str) -> list[str]:
-    """Addresses of workers that reach no Prefect server at this URL."""
+    """Return the addresses of workers that cannot reach a Prefect server at this URL."""
     found = client.run(_reaches, url, on_error="return")
     return [address for address, reached in found.items() if reached is not True]
 
@@ -92,19 +94,19 @@ def _reaches(url: str) -> bool:
 
 
 def end_runs(client: Any, runs: Sequence[str]) -> None:
-    """Have the workers end the solvers of these runs."""
-    # A scheduler that is gone cannot be reached, and has nothing left to end.
+    """Stop the solvers of these runs on all workers."""
+    # If the scheduler is gone, so are its workers.
     with suppress(OSError, ValueError, RuntimeError):
         client.run(_end_runs, list(runs), on_error="ignore")
 
 
 def _end_runs(runs: list[str]) -> None:
     for run in runs:
-        run_end(run).set()
+        end_event(run).set()
 
 
-class DaskTask:
-    """A piece on its way through a Dask cluster."""
+class DaskTaskRun:
+    """A task on a Dask cluster."""
 
     def __init__(self, future: Any) -> None:
         self.future = future
@@ -116,7 +118,7 @@ class DaskTask:
         with suppress(TimeoutError):
             self.future.exception(timeout=seconds)
 
-    def result(self) -> Answer:
+    def result(self) -> TaskResult:
         return dask_result(self.future.result, self.future)
 
     def cancel(self) -> None:
@@ -126,12 +128,12 @@ class DaskTask:
         self.future.add_done_callback(lambda _: call())
 
 
-def dask_result(result: Callable[[], Answer], future: Any) -> Answer:
-    """The answer of a piece. Raises what ended it, in words of ours where Dask did."""
+def dask_result(result: Callable[[], TaskResult], future: Any) -> TaskResult:
+    """Return a task's result. Raises its error, or a ModetuneError for a failure of Dask."""
     if future.status in ("cancelled", "lost"):
         raise CampaignError(
-            "the Dask scheduler ended or was lost; start it, then run the same command again: "
-            "finished jobs are not repeated"
+            "the connection to the Dask scheduler was lost; start it and run the same command "
+            "again: finished jobs are not repeated"
         )
     try:
         return result()
@@ -139,16 +141,16 @@ def dask_result(result: Callable[[], Answer], future: Any) -> Answer:
         raise
     except ImportError as error:
         raise CampaignError(
-            f"a Dask worker cannot load modetune ({error}); install the same version there"
+            f"a Dask worker cannot import modetune ({error}); install the same version there"
         ) from error
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            raise SolverCrashed(f"the Dask workers that ran this job died: {error}") from error
+            raise SolverCrashed(f"the Dask worker running this job died: {error}") from error
         raise
 
 
 class DaskRunner(PoolRunner):
-    """Tries on the workers of a Dask cluster, without Prefect; computations stay here."""
+    """Runs tasks on the workers of a Dask cluster, without Prefect; computations run here."""
 
     remote = True
 
@@ -157,17 +159,19 @@ class DaskRunner(PoolRunner):
         self.client = client
         self.runs: set[str] = set()
 
-    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
-        if piece.stays:
-            return super().submit(name, piece, after)
-        if piece.order is not None:
-            self.runs.add(piece.order.run)
-        return DaskTask(self.client.submit(tried, piece.attempt, key=uuid.uuid4().hex, pure=False))
+    def submit(self, name: str, task: Task, after: Sequence[TaskRun]) -> TaskRun:
+        if task.stays:
+            return super().submit(name, task, after)
+        if task.order is not None:
+            self.runs.add(task.order.run)
+        return DaskTaskRun(
+            self.client.submit(retry, task.attempt, key=uuid.uuid4().hex, pure=False)
+        )
 
 
 @contextmanager
 def dask_runner(section: DaskSection, threads: int, parallel: int) -> Iterator[DaskRunner]:
-    """A runner on the cluster that a campaign asks for. Raises CampaignError."""
+    """Open a runner on a campaign's cluster. Raises CampaignError."""
     with cluster(section, threads) as own:
         client_of = import_module("distributed").Client
         with connected(lambda: client_of(own, timeout=CONNECT_S), section) as client:
@@ -179,24 +183,24 @@ def dask_runner(section: DaskSection, threads: int, parallel: int) -> Iterator[D
 
 
 def _local(section: DaskSection, distributed: Any) -> Any:
-    # By default Dask sets the threads of BLAS to one, in this process too: its algebra would be
-    # slower than without Dask, and its results would differ in the last bits.
+    # By default Dask limits BLAS to one thread, in this process too, which slows the algebra down
+    # and changes the last bits of its results.
     with import_module("dask").config.set({"distributed.nanny.pre-spawn-environ": {}}):
         return distributed.LocalCluster(
             n_workers=section.workers,
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # pages on loopback, on any free port
+            dashboard_address="127.0.0.1:0",  # on loopback, on any free port
             security=True,
             silence_logs=logging.CRITICAL,
-            memory_limit=0,  # solvers have processes of their own, which Dask does not see
+            memory_limit=0,  # solvers are separate processes, whose memory Dask does not see
             local_directory=str(_scratch()),
         )
 
 
 def _queued(section: DaskSection, threads: int) -> Any:
-    """A cluster whose workers are jobs of Slurm, PBS or LSF."""
+    """Start a cluster whose workers are jobs of Slurm, PBS or LSF."""
     dask_jobqueue = import_module("dask_jobqueue")
     security = import_module("distributed.security").Security.temporary()
     options: dict[str, Any] = {
@@ -209,7 +213,7 @@ def _queued(section: DaskSection, threads: int) -> Any:
     cluster = getattr(dask_jobqueue, JOB_CLUSTERS[section.cluster])(
         cores=threads,
         processes=1,
-        # The job has a core a thread of the solver; the worker itself does one job at a time.
+        # The job has a core for each solver thread; the worker runs one task at a time.
         worker_extra_args=["--nthreads", "1", "--memory-limit", "0"],
         memory=section.memory,
         job_name="modetune",
@@ -225,38 +229,36 @@ def _queued(section: DaskSection, threads: int) -> Any:
         **{key: value for key, value in options.items() if value is not None},
     )
     _quiet()
-    # Asked for here, because `n_workers` and `scale` do not tell that the queue refused.
+    # Start the workers here, because `n_workers` and `scale` hide a refusal by the queue.
     for _ in range(section.workers):
         cluster.worker_spec.update(cluster.new_worker_spec())
     try:
         cluster.sync(cluster._correct_state)
     except (OSError, RuntimeError):
         cluster.worker_spec.clear()
-        cluster.workers.clear()  # what never started cannot be closed
+        cluster.workers.clear()  # a worker that never started cannot be closed
         _close(cluster)
         raise
     return cluster
 
 
 def _quiet() -> None:
-    """Dask's own log tells of workers that come and go, which the campaign bears."""
+    """Silence Dask's log of workers that join and leave, which campaigns tolerate."""
     for name in ("distributed", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _close(cluster: Any) -> None:
-    # An assertion of Dask's own fails where a worker was never started.
+    # Dask raises AssertionError if a worker was never started.
     with suppress(OSError, RuntimeError, AssertionError):
         cluster.close(timeout=END_S)
 
 
 def _reason(error: Exception) -> str:
-    """An error's text on one line, the queue's own words at its end."""
     return " ".join(line.strip() for line in str(error).splitlines() if line.strip())[:500]
 
 
 def _exports() -> list[str]:
-    """What a worker on another node must know of our environment."""
     return [
         f"export {name}={shlex.quote(value)}"
         for name, value in sorted(os.environ.items())
@@ -265,8 +267,7 @@ def _exports() -> list[str]:
 
 
 def _scratch() -> Path:
-    """Where Dask keeps what is its own."""
     folder = server_home() / "dask"
     folder.mkdir(parents=True, exist_ok=True)
-    folder.chmod(0o700)  # keys of workers lie here
+    folder.chmod(0o700)  # contains the workers' keys
     return folder

@@ -1,11 +1,9 @@
-"""The job engine: job -> key -> store -> solver -> result -> store. It knows no Prefect.
+"""The job engine: job -> key -> store -> solver -> result -> store. It does not depend on Prefect.
 
-A job's deck is edited once: what is rendered for the key is what is run, and a key that was worked
-out is remembered (`job.py`). Results are read from the store by the outcome's key.
-
-A job runs in STORE/jobs/KEY.part. A good one leaves its result in the store, and its folder only
-where the campaign keeps it (as KEY); a failed one leaves KEY.failed to look at. A lock a key lets
-two campaigns that want the same job run it once.
+A job's deck is edited once: the deck rendered for the key is the one that runs, and keys are cached
+(`job.py`). A job runs in STORE/jobs/KEY.part. A successful job leaves its result in the store, and
+its folder as KEY if the campaign keeps folders; a failed one leaves KEY.failed. One lock per key
+makes two campaigns that need the same job run it once.
 """
 
 from __future__ import annotations
@@ -43,15 +41,14 @@ from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.job_results import Result, finite
-from modetune.flows.jobs.deck_texts import keep_text
 from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
-from modetune.flows.jobs.job_memory import JobMemory
-from modetune.flows.jobs.limits import CORES, Limit, Limits
+from modetune.flows.jobs.job_difference import save_text
+from modetune.flows.jobs.limits import CORES, JobMemory, Limit, Limits
 from modetune.flows.jobs.policy import Policy
-from modetune.flows.jobs.scratch import factor_files
+from modetune.flows.jobs.progress import Derivation
+from modetune.flows.jobs.runner import Costs, StoredResult, Tries, WorkerRequest, retry
+from modetune.flows.jobs.store_files import factor_files
 from modetune.flows.jobs.tasks import Tasks
-from modetune.flows.jobs.watching import Derivation
-from modetune.flows.jobs.work import Ledger, Order, Solved, Tries, tried
 
 logger = logging.getLogger(__name__)
 R = TypeVar("R", bound=Result)
@@ -59,9 +56,9 @@ R = TypeVar("R", bound=Result)
 
 @dataclass(frozen=True, slots=True)
 class JobOutcome:
-    """What became of a job; its result stays in the store until it is asked for.
+    """A job whose result is in the store.
 
-    key: of the job; reused: whether the store had it; wall_s: from first try to result.
+    reused is true if the result was stored before; wall_s is the time from first attempt to result.
     """
 
     job: Job
@@ -71,10 +68,10 @@ class JobOutcome:
     engine: JobEngine = field(repr=False, compare=False)
 
     def result(self, kind: type[R]) -> R:
-        """The result, solved again if its entry was damaged. Raises what `solve` raises."""
+        """Return the result; solve the job again if the entry is damaged. Raises as `solve`."""
         engine = self.engine
         entry = engine.store.get(self.key)
-        if entry is None:  # damaged between two breaths: once more, then it is the disk
+        if entry is None:  # damaged since it was written: after a second time the disk is to blame
             engine.solve(self.job)
             entry = engine.store.get(self.key)
             if entry is None:
@@ -84,24 +81,23 @@ class JobOutcome:
 
 
 class Launcher(Protocol):
-    """Starts programs elsewhere than in a process group of this machine."""
+    """Starts programs through another one, such as Slurm's `srun`."""
 
     def wrapped(self, command: Command) -> Command:
-        """What is started here so that the command runs there."""
+        """Return the command that starts `command` through the launcher."""
         ...
 
     def check(self, folder: Path, return_code: int) -> None:
-        """Raise the SolverError that the launcher, not the program, ended a job with."""
+        """Raise the SolverError with which the launcher, not the program, ended a job."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class JobEngine:
-    """Solves jobs of one model against one store; safe to call from many threads.
+    """Solves the jobs of one model and keeps their results in one store; thread-safe.
 
-    tasks: carry out its work. order: makes an engine like this one in another process, where that
-    can be. may_run: False where only stored results may be used. launcher: starts the programs,
-    where this process does not.
+    order lets a worker process build an equal engine, None if that is impossible. may_run is False
+    if only stored results may be used. launcher starts the programs instead of this process.
     """
 
     plans: Plans
@@ -112,16 +108,16 @@ class JobEngine:
     cancelled: threading.Event
     counter: Limits
     limits: tuple[Limit, ...]
-    ledger: Ledger
+    costs: Costs
     tasks: Tasks
-    order: Order | None = None
+    order: WorkerRequest | None = None
     may_run: bool = True
     launcher: Launcher | None = None
     memory: JobMemory = field(default_factory=JobMemory)
 
     @property
     def room(self) -> FactorRoom:
-        """What factors in this process may take."""
+        """Memory and disk that factorisations in this process may use."""
         store = self.store
         return FactorRoom(
             self.memory_bytes,
@@ -134,47 +130,44 @@ class JobEngine:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory of this machine that may be taken."""
+        """Memory of this machine that jobs may use."""
         return self.policy.memory_bytes or self.memory.of_machine
 
     @property
     def solver(self) -> Solver:
-        """What solves the jobs."""
         return self.plans.solver
 
     @property
     def program(self) -> Program:
-        """What runs them."""
         return self.plans.solver.program
 
     def solve(self, job: Job) -> JobOutcome:
-        """Make sure the store has the job's result. Raises SolverError, StoreError, ModelError."""
+        """Solve a job unless its result is stored. Raises SolverError, StoreError, ModelError."""
         tries = Tries()
-        return self.outcome(job, tried(lambda: self.attempt(job, "", tries)))
+        return self.outcome(job, retry(lambda: self.attempt(job, "", tries)))
 
-    def outcome(self, job: Job, solved: Solved) -> JobOutcome:
-        """The outcome of a job whose result the store has."""
+    def outcome(self, job: Job, solved: StoredResult) -> JobOutcome:
         return JobOutcome(job, solved.key, solved.reused, solved.wall_s, self)
 
     def has(self, jobs: Sequence[Job]) -> bool:
-        """Whether the store has the results of all these jobs. Raises ModelError, SolverMissing."""
+        """Return whether the store has all these results. Raises ModelError, SolverMissing."""
         return all(self.key(job) in self.store for job in jobs)
 
-    def attempt(self, job: Job, key: str, tries: Tries) -> Solved:
-        """One try to have the job's result in the store.
+    def attempt(self, job: Job, key: str, tries: Tries) -> StoredResult:
+        """Attempt once to get a job's result into the store.
 
-        key: of the job, where it is known. Raises as `solve` does; `again` of an error says whether
-        another try may follow.
+        key is the job's if known, else "". Raises as `solve`; `again` of the error is true if the
+        policy allows another attempt.
         """
         try:
             key = key or self.key(job)
             reused, wall_s = key in self.store, 0.0  # `JobOutcome.result` finds damaged entries
             if not reused and not self.may_run:
-                raise NotStored(f"the store has no result {key[:12]}, and no solver may run here")
+                raise NotStored(f"the store has no result {key[:12]} and solver runs are off")
             if not reused:
                 reused, wall_s = self._solve_here(job, key, tries)
         except SolverError as error:
-            error.again = self.policy.allows_another(error, tries)
+            error.again = self.policy.may_retry(error, tries)
             if not error.again:
                 self.plans.done(job)
             raise
@@ -182,11 +175,11 @@ class JobEngine:
             self.plans.done(job)
             raise
         self.plans.done(job)
-        return Solved(key, reused, wall_s)
+        return StoredResult(key, reused, wall_s)
 
     def _solve_here(self, job: Job, key: str, tries: Tries) -> tuple[bool, float]:
         with self.store.lock(key, self._wait_for_another):
-            if key in self.store:  # another campaign was faster
+            if key in self.store:  # another campaign solved it first
                 return True, 0.0
             plan, note = self.plans.plan(job), self.note(job).text()
             if math.isnan(tries.began_s):
@@ -205,26 +198,27 @@ class JobEngine:
 
     def _wait_for_another(self) -> None:
         if self.cancelled.wait(0.1):
-            raise SolverCancelled("the campaign is ending while another one runs the same job")
+            raise SolverCancelled("cancelled while another campaign ran the same job")
 
     def key(self, job: Job) -> str:
-        """The content key of a job. Raises ModelError, SolverMissing."""
+        """Return a job's content key. Raises ModelError, SolverMissing."""
         return self.plans.key(job)
 
     def note(self, job: Job) -> JobNote:
-        """What is told of a job beside its result. Raises ModelError, SolverMissing."""
+        """Return the description stored with a job's result. Raises ModelError, SolverMissing."""
         return self.plans.note(job, self.threads)
 
-    def keep_text(self) -> None:
-        """Keep the deck's text beside the results, so that it can be told where decks differ."""
-        keep_text(self.store, self.plans.model_digest(), self.plans.plan(NOMINAL).rendered)
+    def save_text(self) -> None:
+        """Store the deck's text, so that later differences between decks can be shown."""
+        save_text(self.store, self.plans.model_digest(), self.plans.plan(NOMINAL).rendered)
         self.plans.done(NOMINAL)
 
     def derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str = "") -> R:
-        """What is computed here from results at a cost, from the store if it is there.
+        """Return a result computed in this process, from the store if it has it.
 
-        asked: everything that can change the numbers, keys of the results among it; name: of the
-        task. Raises NotComputed where only stored results may be used and there is none.
+        asked contains everything that can change the numbers, including the keys of the results
+        they follow from; name is the task's. Raises NotComputed if only stored results may be used
+        and there is none.
         """
         text = canonical_json(asked)
         key, begun = content_key(text), time.monotonic()
@@ -241,12 +235,12 @@ class JobEngine:
         if found is not None:
             return found
         if not self.may_run:
-            raise NotComputed(f"the store has no {key[:12]}, and nothing may be computed here")
+            raise NotComputed(f"the store has no result {key[:12]} and computations are off")
         with self.store.lock(key, self._wait_for_another):
-            found = self._stored(key, kind)  # another campaign may have been faster
+            found = self._stored(key, kind)  # another campaign may have computed it first
             if found is None:
                 self._compute(key, text, compute)
-                # As everybody else will read it: arrays in another order have other last digits.
+                # Read it as later runs will: the memory order of arrays affects the last digits.
                 found = self._stored(key, kind)
         if found is None:
             raise damaged_again(self.store, key)
@@ -264,14 +258,14 @@ class JobEngine:
 
     @property
     def cores_beside(self) -> int:
-        """Cores that a job leaves free."""
+        """Cores left free by one job."""
         return sum(limit.slots - limit.taken for limit in self.limits if limit.name == CORES)
 
     @contextmanager
     def all_cores(self, beside: int = 0) -> Iterator[None]:
-        """Hold all of the machine's cores for work in this process, and count its cost.
+        """Hold the machine's cores for work in this process, and add its cost.
 
-        beside: so many of them alone, where a job has the others.
+        beside is the number of cores if a job holds the others; 0 means all.
         """
         limits = tuple(
             replace(limit, taken=beside or limit.slots)
@@ -283,11 +277,11 @@ class JobEngine:
             try:
                 yield
             finally:
-                self.ledger.add(time.monotonic() - started, limits)
+                self.costs.add(time.monotonic() - started, limits)
 
     def _wait_for_slot(self, name: str) -> None:
         if self.cancelled.wait(0.05):
-            raise SolverCancelled(f"the campaign is ending while a job waits for {name}")
+            raise SolverCancelled(f"cancelled while a job waited for {name}")
 
     def _run(self, job: Job, plan: JobPlan, note: str) -> Result:
         with self._job_folder(plan.key) as folder:
@@ -312,7 +306,7 @@ class JobEngine:
                         self.policy.disk_bytes,
                     )
                 finally:
-                    self.ledger.add(time.monotonic() - started, self.limits)
+                    self.costs.add(time.monotonic() - started, self.limits)
             if self.launcher is None:
                 self.memory.add(kind, finished.peak_memory_bytes, self.memory_bytes)
             try:
@@ -327,7 +321,7 @@ class JobEngine:
                 raise LicenceDenied(
                     f"{self.program.name} got no licence in {folder}: {refusal}"
                 ) from error
-            except (ModesError, OSError) as error:  # shapes that do not fit together, files gone
+            except (ModesError, OSError) as error:  # inconsistent shapes or missing files
                 raise NoResult(
                     f"{self.program.name} left no result in {folder}: {error}"
                 ) from error
@@ -343,14 +337,13 @@ class JobEngine:
             try:
                 yield part
             except (SolverError, ModelError) as error:
-                if disk_full(part):  # solvers end with good grace and half a file
+                if disk_full(part):  # solvers may exit normally with half a file
                     shutil.rmtree(part, ignore_errors=True)
                     raise StorageUnavailable(
-                        f"the disk that holds {base} is full, so a solver run was cut short; "
-                        "nothing stored before was harmed; free some space and run the same "
-                        "command again: finished jobs are not repeated"
+                        f"the disk of {base} is full and a solver run was incomplete; free some "
+                        "space and run the same command again: finished jobs are not repeated"
                     ) from error
-                with suppress(FileNotFoundError):  # removed meanwhile, which may be what failed
+                with suppress(FileNotFoundError):  # somebody removed it, perhaps causing the error
                     part.rename(failed)
                 raise type(error)(str(error).replace(str(part), str(failed))) from error
             except BaseException:
@@ -364,8 +357,7 @@ class JobEngine:
 
 
 def damaged_again(store: Store, key: str) -> StoreDamaged:
-    """The error to raise where an entry cannot be read that was just written."""
+    """Return the error for an entry that is damaged although it was just rewritten."""
     return StoreDamaged(
-        f"{store.path(key)} was written anew and is damaged again; look at the disk that holds "
-        f"{store.folder}"
+        f"{store.path(key)} was rewritten and is damaged again; check the disk of {store.folder}"
     )

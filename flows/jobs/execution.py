@@ -1,14 +1,13 @@
-"""How the pieces of work of a study are carried out side by side.
+"""Parallel execution of a study's named work.
 
-The updating loop hands over pieces with names for people and gets outcomes back in order; errors
-come back as values, because the loop decides what follows from them.
+The updating loop submits work and gets outcomes in the same order; errors are returned as values,
+because the loop decides how to react to them.
 
-The first runs of a solver stand alone, so that a broken solver fails fast: one that always fails
-(no licence file, a wrong option, a missing library) would fail in all jobs of the first iteration
-at once, each with its retries, and one that hangs would hold every core until the time limit. Until
-a job has succeeded, now or in an earlier run, no more pieces of one kind go together than may fail
-before nothing else is tried. A modal job goes before its sensitivities; the matrix jobs of a model
-go together, for one after another they would be the longest part of a campaign.
+A broken solver (missing licence file, wrong option, missing library) would fail in all jobs of the
+first iteration, each with its retries, and a hanging one would hold all cores until the time limit.
+So until one job has succeeded, now or in an earlier run, at most FIRST_FAILURES jobs of one kind
+run at a time. A modal job runs before its sensitivities; the matrix jobs of a model run together,
+because in sequence they would take longer than the rest of a campaign.
 """
 
 from __future__ import annotations
@@ -25,26 +24,26 @@ from modetune.core.errors import ModetuneError, SolverCancelled, SolverError, St
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.limits import CORES, Limit
-from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import Answer, Piece, Task
+from modetune.flows.jobs.progress import doing
+from modetune.flows.jobs.runner import Task, TaskResult, TaskRun
 
 logger = logging.getLogger(__name__)
 
-#: Of the first pieces of one kind so many may fail, at other values each, before none is tried.
+#: Before the first success, this many failures of one kind (at different values) end the run.
 FIRST_FAILURES = 3
-#: Of more pieces at once those that the store has are one task together.
+#: Above this number, all cached work is shown as one task.
 EACH_A_TASK = 100
-#: Seconds that a shared disk may take to show a result that another process wrote there.
+#: Seconds until a result from another machine must be visible on the shared disk.
 PATIENCE_S = 60.0
-#: Seconds between two looks at a task in another process, and at cancellation.
+#: Seconds between two checks of a remote task and of cancellation.
 LOOK_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A named piece of an iteration: the jobs it needs, none where it follows from others.
+    """Named work of an iteration and its jobs, none if it follows from other results.
 
-    engine: of the model they are for, where that is not the execution's own.
+    engine is None if the execution's own engine solves them.
     """
 
     name: str
@@ -52,19 +51,19 @@ class Work:
     engine: JobEngine | None = None
 
 
-#: How a piece of work ended: an outcome a job, or the error that ended it.
+#: One outcome per job, or the error that ended the work.
 Done = tuple[JobOutcome, ...] | ModetuneError
 
 
 class Execution:
-    """Carries out the work of one chain (an update, a screening) on an engine's tasks."""
+    """Runs the work of one update, screening or other study as tasks of an engine."""
 
     def __init__(self, engine: JobEngine) -> None:
         self.engine = engine
-        self._proven = not engine.may_run  # the store alone fails in no solver
+        self._proven = not engine.may_run  # without solver runs no solver can fail
 
     def run(self, iteration: str, works: Sequence[Work]) -> list[Done]:
-        """Outcomes in the order of the works; for pieces not tried the first failure."""
+        """Return outcomes in the order of the works; work not attempted has the first failure."""
         done: list[Done] = []
         failures = 0
         while len(done) < len(works):
@@ -72,11 +71,11 @@ class Execution:
             if self._proven:
                 return done + self._together(iteration, rest)
             alike = list(next(groupby(rest, _kind))[1])
-            tried = self._together(iteration, alike[: FIRST_FAILURES - failures])
-            done, rest = done + tried, rest[len(tried) :]
+            first = self._together(iteration, alike[: FIRST_FAILURES - failures])
+            done, rest = done + first, rest[len(first) :]
             # A stored result is an earlier success.
-            self._proven = not all(isinstance(outcome, ModetuneError) for outcome in tried)
-            failed = [outcome for outcome in tried if isinstance(outcome, SolverError)]
+            self._proven = not all(isinstance(outcome, ModetuneError) for outcome in first)
+            failed = [outcome for outcome in first if isinstance(outcome, SolverError)]
             failures += len(failed)
             ended = any(isinstance(error, SolverCancelled) for error in failed)
             if not failed or (self._proven and not ended):
@@ -92,16 +91,15 @@ class Execution:
         return done
 
     def skip(self, iteration: str, names: Sequence[str], state: str, reason: str) -> None:
-        """Show work that did not have to run, and why."""
+        """Show work that was skipped, and why."""
         self.engine.tasks.note(iteration, names, state, reason)
 
     def _together(self, iteration: str, works: Sequence[Work]) -> list[Done]:
-        """Outcomes of pieces that go side by side."""
         engine = self.engine
         engine.tasks.opens(sum(bool(work.jobs) for work in works))
         if engine.tasks.runner.remote or len(works) > EACH_A_TASK:
             return _Feed(self, iteration, len(works)).run(works)
-        begun: list[tuple[Work, Task]] = []
+        begun: list[tuple[Work, TaskRun]] = []
         try:
             begun += [(work, self.begin(iteration, work)) for work in works]
             return [self.ended(work, task) for work, task in begun]
@@ -111,21 +109,20 @@ class Execution:
                 task.cancel()
             raise
 
-    def begin(self, iteration: str, work: Work) -> Task:
-        """Begin a piece of work."""
+    def begin(self, iteration: str, work: Work) -> TaskRun:
         engine = work.engine or self.engine
-        tries = engine.policy.most_tries * max(len(work.jobs), 1)
+        tries = engine.policy.max_tries * max(len(work.jobs), 1)
         keys = ("",) * len(work.jobs)
         if self.engine.tasks.runner.remote:
             keys = tuple(engine.key(job) for job in work.jobs)
 
-        def piece(begun: Callable[[], None]) -> Piece:
-            return Piece(work.jobs, keys, engine.attempt, tries, engine.order, begun)
+        def make_task(begun: Callable[[], None]) -> Task:
+            return Task(work.jobs, keys, engine.attempt, tries, engine.order, begun)
 
-        return self.engine.tasks.begin(iteration, work.name, piece)
+        return self.engine.tasks.begin(iteration, work.name, make_task)
 
-    def ended(self, work: Work, task: Task) -> Done:
-        """The outcomes of a piece that has begun, when it has ended."""
+    def ended(self, work: Work, task: TaskRun) -> Done:
+        """Wait for begun work and return its outcomes."""
         engine = work.engine or self.engine
         try:
             answer = task.result()
@@ -137,9 +134,9 @@ class Execution:
 
 @dataclass
 class _Feed:
-    """Pieces of many, or for another process: so many at a time, each looked up in the store first.
+    """Feeds remote or numerous work to the runner, `parallel` at a time.
 
-    What the store has needs no other process, and of many pieces no task each.
+    Cached results need no remote process and, if numerous, no task each.
     """
 
     execution: Execution
@@ -161,7 +158,7 @@ class _Feed:
                 raise
         if self.stored:
             with doing(self.iteration):
-                name = f"{len(self.stored)} results of the store"
+                name = f"{len(self.stored)} cached results"
                 engine.tasks.compute(name, lambda: (None, self.stored))
         return done
 
@@ -179,7 +176,7 @@ class _Feed:
             while not task.done():
                 task.wait(LOOK_S)
                 if engine.cancelled.is_set():
-                    raise SolverCancelled("the campaign is ending while another process runs a job")
+                    raise SolverCancelled("cancelled while another process ran a job")
             _account(engine, task.result())
             done = self.execution.ended(work, task)
             for outcome in () if isinstance(done, ModetuneError) else done:
@@ -198,14 +195,16 @@ class _Feed:
             with doing(self.iteration):
                 return self.execution.engine.tasks.compute(work.name, found)
         outcomes, _ = found()
-        self.execution.engine.tasks.opens(-1)  # nobody waits for it
+        self.execution.engine.tasks.opens(-1)  # no task will run for it
         with self.lock:
             self.stored.extend(outcomes)
         return outcomes
 
 
-def solved(engine: JobEngine, jobs: Sequence[Job], name: str = "modal") -> tuple[JobOutcome, ...]:
-    """Jobs of a study's model, as one piece. Raises what `JobEngine.solve` raises."""
+def solve_jobs(
+    engine: JobEngine, jobs: Sequence[Job], name: str = "modal"
+) -> tuple[JobOutcome, ...]:
+    """Solve jobs of a study's model as one task. Raises as `JobEngine.solve`."""
     (done,) = Execution(engine).run("model", [Work(name, tuple(jobs))])
     if isinstance(done, ModetuneError):
         raise done
@@ -213,27 +212,26 @@ def solved(engine: JobEngine, jobs: Sequence[Job], name: str = "modal") -> tuple
 
 
 def _kind(work: Work) -> str:
-    """What a piece of work is of: modal, finite differences of a parameter, ..."""
+    """The first word of the name: modal, matrices, finite, ..."""
     return work.name.partition(" ")[0]
 
 
-def _account(engine: JobEngine, answer: Answer) -> None:
-    """Count the costs of another process here, and repeat its warnings."""
-    engine.ledger.add(answer.core_s, (Limit(CORES, 1, 1),))
-    engine.ledger.add(answer.licence_s, (Limit("licences", 1, 1),))
+def _account(engine: JobEngine, answer: TaskResult) -> None:
+    """Add the costs of a remote process and repeat its warnings."""
+    engine.costs.add(answer.core_s, (Limit(CORES, 1, 1),))
+    engine.costs.add(answer.licence_s, (Limit("licences", 1, 1),))
     for warning in answer.warnings:
         logger.warning("%s", warning)
 
 
 def _wait_until_seen(engine: JobEngine, key: str) -> None:
-    """Wait until this machine sees what a process on another one wrote."""
     store, left = engine.store, PATIENCE_S
     while key not in store:
         if left <= 0.0:
             raise StorageUnavailable(
-                f"a Dask worker stored {key[:12]}, but it is not in {store.folder} here; the "
-                "store must be on a disk that all machines share"
+                f"a Dask worker stored {key[:12]}, but {store.folder} does not have it here; put "
+                "the store on a disk that all machines share"
             )
         if engine.cancelled.wait(0.2):
-            raise SolverCancelled("the campaign is ending")
+            raise SolverCancelled("the campaign was cancelled")
         left -= 0.2

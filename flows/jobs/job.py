@@ -1,11 +1,11 @@
-"""A job: one analysis of the model at some parameter values; its key, its deck, its note.
+"""A job: one analysis of a model at some parameter values, with its key, deck and note.
 
-Its deck is edited once: what is rendered for the key is what is run, and a key that was worked out
-in this process is remembered (`Plans`).
+The deck is edited once: the deck rendered for the key is the one that runs, and `Plans` caches the
+keys of this process.
 
-A content key tells that two jobs differ, not in what: the deck goes into it as a digest. The note
-beside a result says it for people, in words of the campaign. It is not part of the key, so it never
-decides what is run.
+Content keys show that two jobs differ but not how, because the deck enters the key as a digest.
+The note stored with a result describes the job in terms of the campaign. It is not part of the key
+and never affects what runs.
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ from modetune.adapters.solver import (
 from modetune.core.parameters import Values
 from modetune.core.storage.keys import Json, canonical_json, content_key
 
-#: What identifies a job of one model: its values by name, and its analysis.
+#: Identifies a job of one model: its values by name, and its analysis.
 Identity = tuple[tuple[tuple[str, float], ...], Analysis]
 
-#: Edited decks of jobs that wait to be run are kept up to this size in all, bytes; of larger ones
-#: the key alone is remembered.
+#: Edited decks of waiting jobs are kept up to this total size in bytes; beyond it only the keys.
 KEPT_BYTES = 128 << 20
 #: The note's file in the folder of a job.
 NOTE_FILE = "note.json"
-#: What content keys hold besides the model; a model keeps its digest when these change.
+#: Parts of a content key that do not belong to the model and do not enter its digest.
 NOT_THE_MODEL = frozenset({"version", "reader"})
 
 
@@ -47,23 +46,23 @@ class Job:
 
     @property
     def identity(self) -> Identity:
-        """What it has in common with all jobs that are the same."""
+        """A hashable value that equal jobs share."""
         return tuple(sorted((name, float(value)) for name, value in self.values.items())), (
             self.analysis
         )
 
 
-#: The deck's own values, with nothing asked of the model: what tells models apart.
+#: The nominal deck with the smallest analysis: its content identifies the model.
 NOMINAL = Job({}, ModalAnalysis(1, ()))
 
 
 @dataclass(frozen=True, slots=True)
 class JobNote:
-    """A job for people.
+    """A readable description of a job.
 
-    model_digest: of the deck at its own values, whatever is asked of it; values: of the
-    parameters, relative to the deck; nodes_digest: of the nodes whose shapes were wanted;
-    columns: names of the parameters whose derivatives were wanted of the solver itself.
+    model_digest is that of the nominal deck, independent of the analysis; values are relative to
+    the deck; nodes_digest is that of the output nodes; columns names the parameters for which the
+    solver computes derivatives.
     """
 
     solver: str
@@ -79,13 +78,13 @@ class JobNote:
     threads: int
 
     def text(self) -> str:
-        """The note as JSON."""
+        """Return the note as JSON."""
         return json.dumps({item.name: getattr(self, item.name) for item in fields(self)})
 
 
 @dataclass(frozen=True, slots=True)
 class JobPlan:
-    """A job before it is run. asked: the canonical JSON behind the key; rendered: its deck."""
+    """A job before it runs: key, the canonical JSON behind the key, and the rendered deck."""
 
     key: str
     asked: str
@@ -93,10 +92,9 @@ class JobPlan:
 
 
 class Plans:
-    """What is known of one model's jobs in this process; safe from many threads.
+    """The keys and waiting decks of one model's jobs in this process; thread-safe.
 
-    A job's deck is rendered and its key worked out once. The deck is kept until the job is run or
-    found in the store, so that it is not rendered again then.
+    A deck is rendered once and kept until its job has run or was found in the store.
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -108,12 +106,12 @@ class Plans:
         self._lock = threading.Lock()
 
     def key(self, job: Job) -> str:
-        """The content key of a job. Raises ModelError, SolverMissing."""
+        """Return a job's content key. Raises ModelError, SolverMissing."""
         known = self._keys.get(job.identity)
         return self.plan(job).key if known is None else known
 
     def plan(self, job: Job) -> JobPlan:
-        """A job's deck with its key, kept for the run. Raises ModelError, SolverMissing."""
+        """Return a job's deck and key, kept for the run. Raises ModelError, SolverMissing."""
         with self._lock:
             waiting = self._waiting.get(job.identity)
             if waiting is not None:
@@ -129,19 +127,19 @@ class Plans:
             return plan
 
     def done(self, job: Job) -> None:
-        """Forget the deck of a job that the store has."""
+        """Drop the deck of a job that has ended."""
         with self._lock:
             plan = self._waiting.pop(job.identity, None)
             self._size -= plan.rendered.size if plan else 0
 
     def model_digest(self) -> str:
-        """Digest of the model at the deck's own values. Raises ModelError, SolverMissing."""
+        """Return the digest of the nominal deck. Raises ModelError, SolverMissing."""
         if self._digest is None:
             self._digest = _digest(_model_part(self.plan(NOMINAL).rendered.content))
         return self._digest
 
     def note(self, job: Job, threads: int) -> JobNote:
-        """What is told of a job beside its result. Raises ModelError, SolverMissing."""
+        """Return the description stored with a job's result. Raises ModelError, SolverMissing."""
         analysis = job.analysis
         n_modes, nodes = (
             (0, ()) if isinstance(analysis, MatrixAnalysis) else (analysis.n_modes, analysis.nodes)
@@ -162,28 +160,28 @@ class Plans:
 
 
 def read_note(text: str) -> JobNote | None:
-    """The note of this text; nothing where there is none, or one of another shape."""
+    """Read a note from JSON; None if it is missing or has other fields."""
     try:
-        told = json.loads(text)
+        data = json.loads(text)
         return JobNote(
-            solver=str(told["solver"]),
-            solver_version=str(told["solver_version"]),
-            model=str(told["model"]),
-            model_digest=str(told["model_digest"]),
-            analysis=str(told["analysis"]),
-            values=tuple((str(name), float(value)) for name, value in told["values"]),
-            n_modes=int(told["n_modes"]),
-            n_nodes=int(told["n_nodes"]),
-            nodes_digest=str(told["nodes_digest"]),
-            columns=tuple(map(str, told["columns"])),
-            threads=int(told["threads"]),
+            solver=str(data["solver"]),
+            solver_version=str(data["solver_version"]),
+            model=str(data["model"]),
+            model_digest=str(data["model_digest"]),
+            analysis=str(data["analysis"]),
+            values=tuple((str(name), float(value)) for name, value in data["values"]),
+            n_modes=int(data["n_modes"]),
+            n_nodes=int(data["n_nodes"]),
+            nodes_digest=str(data["nodes_digest"]),
+            columns=tuple(map(str, data["columns"])),
+            threads=int(data["threads"]),
         )
     except (ValueError, KeyError, TypeError):
         return None
 
 
 def analysis_kind(analysis: Analysis) -> str:
-    """modal, matrices or sensitivity."""
+    """Return modal, matrices or sensitivity."""
     if isinstance(analysis, ModalAnalysis):
         return "modal"
     return "sensitivity" if isinstance(analysis, SensitivityAnalysis) else "matrices"

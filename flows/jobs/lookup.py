@@ -1,4 +1,4 @@
-"""Look up jobs in a store: by the start of a key, in any state, and the nearest to a job."""
+"""Look up jobs in a store: by the start of a key, the nearest to a job, and what jobs cost."""
 
 from __future__ import annotations
 
@@ -7,42 +7,43 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Literal
 
 from modetune.adapters.process import LOG, log_tail
 from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
-from modetune.flows.jobs.deck_texts import kept_text
-from modetune.flows.jobs.explain import (
-    AskedJob,
+from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.job import NOTE_FILE, JobNote, read_note
+from modetune.flows.jobs.job_difference import (
+    JobDescription,
     Nearest,
     Texts,
-    asked_by_note,
-    asked_of,
     differences_with_places,
+    job_of_holding,
+    job_of_note,
+    load_text,
 )
-from modetune.flows.jobs.job import NOTE_FILE, read_note
-from modetune.flows.jobs.store_index import ask_index
+from modetune.flows.jobs.store_index import query_index
 
-#: What became of a job; `damaged`: its result was set aside because its checksum did not hold.
-State = Literal["stored", "failed", "under way or broken off", "damaged", "kept", "not run"]
+#: `damaged`: the result was set aside because its checksum was wrong.
+State = Literal["stored", "failed", "running or interrupted", "damaged", "kept", "not run"]
 KEY_START = re.compile(r"[0-9a-f]{4,64}")
-#: Keys shown where the start of one fits several.
+#: At most this many keys are listed if a start is ambiguous.
 SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What is known of a job.
+    """What a store has about a job.
 
-    where: its file or folder; written_s: when that was written, since 1970; wall_s: what its
-    result took; log: the end of what a failed solver run said; nearest: None where nothing is
-    stored besides.
+    where is its file or folder and written_s its time since 1970; wall_s is the solver time; log is
+    the end of a failed run's log; nearest is None if no other result is stored.
     """
 
     key: str
     state: State
-    job: AskedJob | None
+    job: JobDescription | None
     where: Path | None
     written_s: float | None
     wall_s: float | None
@@ -51,36 +52,38 @@ class Explanation:
 
 
 def key_start(text: str) -> str:
-    """The start of a key from what a user gives: a key, its start, or a job's file or folder.
+    """Return the start of a key from a key, its start, or a job's file or folder.
 
     Raises CampaignError.
     """
     start = Path(text).name.partition(".")[0].lower()
     if not KEY_START.fullmatch(start):
         raise CampaignError(
-            f"{text!r} is not a key: expected at least 4 of its 64 hexadecimal digits, or the "
-            "folder of a job"
+            f"{text!r} is not a key; expected at least 4 of its 64 hexadecimal digits, or a job's "
+            "folder"
         )
     return start
 
 
 def one_key(store: Store, start: str) -> str | None:
-    """The key that starts so of which a store knows; nothing where it knows of none.
+    """Return the store's key with this start, None if there is none.
 
-    Raises CampaignError where the start fits several jobs.
+    Raises CampaignError if several keys have it.
     """
     keys = sorted({path.name.partition(".")[0] for _, path in _places(store, start)})
     if len(keys) > 1:
         shown = ", ".join(key[: len(start) + 8] for key in keys[:SHOWN])
         more = f" and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
-        raise CampaignError(f"{start} is the start of {len(keys)} keys: {shown}{more}; give more")
+        raise CampaignError(
+            f"{len(keys)} keys start with {start} ({shown}{more}); give more of its digits"
+        )
     return keys[0] if keys else None
 
 
 def explain_job(store: Store, start: str) -> Explanation | None:
-    """What the store knows of the job whose key starts so; nothing where it knows of none.
+    """Explain the job whose key has this start; None if the store has no such key.
 
-    Raises CampaignError where the start fits several jobs.
+    Raises CampaignError if several keys have it.
     """
     key = one_key(store, start)
     if key is None:
@@ -89,8 +92,8 @@ def explain_job(store: Store, start: str) -> Explanation | None:
     holding = store.holding(key) if state == "stored" else None
     if state == "stored" and holding is None:
         state = "damaged"
-    job = asked_of(holding) if holding else _job_of_folder(key, path)
-    near = nearest(store, [job] if job else [], partial(kept_text, store))
+    job = job_of_holding(holding) if holding else _job_of_folder(key, path)
+    near = nearest(store, [job] if job else [], partial(load_text, store))
     return Explanation(
         key=key,
         state=state,
@@ -104,12 +107,12 @@ def explain_job(store: Store, start: str) -> Explanation | None:
 
 
 def _places(store: Store, start: str) -> list[tuple[State, Path]]:
-    """Where jobs whose keys start so have left something; what tells most comes first."""
+    """Files and folders of jobs whose keys have this start, the most informative first."""
     jobs = store.folder / "jobs"
     found: list[tuple[State, Path]] = [("stored", path) for path in sorted(store.entries(start))]
     patterns: tuple[tuple[State, Path, str], ...] = (
         ("failed", jobs, f"{start}*.failed"),
-        ("under way or broken off", jobs, f"{start}*.part"),
+        ("running or interrupted", jobs, f"{start}*.part"),
         ("kept", jobs, f"{start}*"),
         ("damaged", store.folder / "damaged", f"{start}*.h5"),
     )
@@ -119,28 +122,72 @@ def _places(store: Store, start: str) -> list[tuple[State, Path]]:
     return found
 
 
-def _job_of_folder(key: str, folder: Path) -> AskedJob | None:
+def _job_of_folder(key: str, folder: Path) -> JobDescription | None:
     try:
         note = read_note((folder / NOTE_FILE).read_text(encoding="utf-8"))
     except OSError:
         return None
-    return asked_by_note(key, note) if note else None
+    return job_of_note(key, note) if note else None
 
 
-def nearest(store: Store, jobs: Sequence[AskedJob], texts: Texts) -> list[Nearest | None]:
-    """Return for each job the nearest stored result of another job; None in an empty store.
-
-    texts: the deck's lines by the digest of a model, where there are any.
-    """
+def nearest(store: Store, jobs: Sequence[JobDescription], texts: Texts) -> list[Nearest | None]:
+    """Return for each job the nearest stored result of another job; None in an empty store."""
     if not jobs:
         return []
-    keys = ask_index(store, lambda index: [index.nearest(job) for job in jobs])
+    keys = query_index(store, lambda index: [index.nearest(job) for job in jobs])
     return [_first_whole(store, job, near, texts) for job, near in zip(jobs, keys, strict=True)]
 
 
-def _first_whole(store: Store, job: AskedJob, keys: Sequence[str], texts: Texts) -> Nearest | None:
+def _first_whole(
+    store: Store, job: JobDescription, keys: Sequence[str], texts: Texts
+) -> Nearest | None:
     for key in keys:
         holding = store.holding(key)
         if holding is not None:
-            return Nearest(key, differences_with_places(job, asked_of(holding), texts))
+            return Nearest(key, differences_with_places(job, job_of_holding(holding), texts))
     return None
+
+
+#: Costs are estimated from this number of the newest results.
+NEWEST = 100
+
+
+@dataclass(frozen=True, slots=True)
+class MedianCost:
+    """The cost of one job: seconds from start to result, and cores times seconds."""
+
+    wall_s: float
+    core_s: float
+
+
+def job_costs(engine: JobEngine, digest: str, newest: int = NEWEST) -> dict[str, MedianCost]:
+    """Return the median cost of each kind of analysis among the newest results in the store.
+
+    digest is that of the model; results of other models with the same name are the fallback.
+    """
+    solver, name = engine.solver.program.name, engine.solver.deck.summary.name
+    found = query_index(engine.store, lambda index: index.newest(newest))
+    noted = [(item.job.note, item.wall_s) for item in found if item.job]
+    ours = [(note, wall_s) for note, wall_s in noted if note and note.solver == solver]
+    by_name = _medians([item for item in ours if item[0].model == name])
+    return by_name | _medians([item for item in ours if item[0].model_digest == digest])
+
+
+def _medians(noted: Sequence[tuple[JobNote, float]]) -> dict[str, MedianCost]:
+    prices = {}
+    for kind in {note.analysis for note, _ in noted}:
+        of_kind = [
+            (wall_s, note.threads * wall_s) for note, wall_s in noted if note.analysis == kind
+        ]
+        prices[kind] = MedianCost(
+            median(wall_s for wall_s, _ in of_kind), median(core_s for _, core_s in of_kind)
+        )
+    return prices
+
+
+def parallel_time(walls_s: Sequence[float], parallel: int) -> float:
+    """Return the time that jobs take, `parallel` at a time, the longest first."""
+    ends = [0.0] * max(parallel, 1)
+    for wall_s in sorted(walls_s, reverse=True):
+        ends[ends.index(min(ends))] += wall_s
+    return max(ends)

@@ -1,4 +1,4 @@
-"""What follows from a failed try of a job: whether another one follows, and when."""
+"""Retry policy: whether another attempt follows a failed one, and when."""
 
 from __future__ import annotations
 
@@ -17,24 +17,23 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.core.updating.job_results import Result
-from modetune.flows.jobs.work import Tries
+from modetune.flows.jobs.runner import Tries
 
 logger = logging.getLogger(__name__)
 
-#: Pauses before asking again for a licence grow by this factor up to this length, seconds.
+#: Pauses between two requests for a licence grow by this factor up to this length, seconds.
 PAUSE_GROWTH, LONGEST_PAUSE_S = 1.5, 600.0
 
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What follows from a failed job.
+    """Retries and resource limits of jobs.
 
-    stopped, timeout, no_result: how often it is tried again when it was killed or broke off, ran
-    out of time, or left what is not a result. What the solver rejected, and what was too large for
-    the machine, is never tried again. disk_bytes: what a job's files and output may take.
-    licence_messages: what says that no licence was free, besides what is known. memory_bytes: what
-    jobs side by side, or this process with its factors, may take of this machine; 0: what that
-    has. single_factors: whether those are in single precision, None where memory decides.
+    stopped, timeout and no_result are the numbers of retries after a crash or kill, a timeout, and
+    an invalid result; input that the solver rejects, and jobs too large for the machine, are not
+    retried. disk_bytes limits a job's files and output. licence_messages adds to the known messages
+    of a refused licence. memory_bytes limits parallel jobs, or this process with its factors; 0
+    means all memory. single_factors selects single precision, None lets memory decide.
     """
 
     timeout_s: float
@@ -49,12 +48,12 @@ class Policy:
     single_factors: bool | None = None
 
     @property
-    def most_tries(self) -> int:
-        """Tries of one job at most, whatever its failures."""
+    def max_tries(self) -> int:
+        """Maximum number of attempts of one job."""
         return 1 + self.stopped + self.timeout + self.no_result
 
-    def allows_another(self, error: SolverError, tries: Tries) -> bool:
-        """Count a failed try, and say whether its kind of failure allows another one."""
+    def may_retry(self, error: SolverError, tries: Tries) -> bool:
+        """Count a failed attempt and return whether another one is allowed."""
         if isinstance(error, NoResult):
             chances = self.no_result
         elif isinstance(error, SolverTimeout):
@@ -65,13 +64,13 @@ class Policy:
         tries.failures[kind] += 1
         if tries.failures[kind] > chances:
             return False
-        logger.warning("%s; trying again (%d of %d)", error, tries.failures[kind], chances)
+        logger.warning("%s; retry %d of %d", error, tries.failures[kind], chances)
         return True
 
     def with_licence(
         self, run: Callable[[], Result], program: str, cancelled: threading.Event
     ) -> Result:
-        """Where no licence is free wait and ask again, which is not a failure."""
+        """Run; while no licence is free, wait and run again, which is not a failure."""
         waited, pause = 0.0, self.licence_pause_s
         while True:
             try:
@@ -79,13 +78,11 @@ class Policy:
             except LicenceDenied as error:
                 if waited + pause > self.licence_wait_s:
                     raise LicenceDenied(
-                        f"{error}\nno licence was free for {waited:.3g} s "
-                        "(`run: licence_wait_s` in the campaign)"
+                        f"{error}\nno licence was free for {waited:.3g} s; free one or raise "
+                        "`run: licence_wait_s` in the campaign"
                     ) from error
-                logger.warning("no %s licence is free; asking again in %.0f s", program, pause)
+                logger.warning("no %s licence is free; retry in %.0f s", program, pause)
                 if cancelled.wait(pause):
-                    raise SolverCancelled(
-                        "the campaign is ending while a job waits for a licence"
-                    ) from error
+                    raise SolverCancelled("cancelled while a job waited for a licence") from error
                 waited += pause
                 pause = min(PAUSE_GROWTH * pause, LONGEST_PAUSE_S)

@@ -1,8 +1,8 @@
-"""Licences that a Prefect server counts for all machines, by its global concurrency limits.
+"""Licences counted for all machines by the global concurrency limits of a Prefect server.
 
-A licence is a limit of the server by the solver's name. A slot is a lease of 60 s that Prefect
-renews while the solver runs: what a killed campaign held is free a minute later. This machine's own
-limits hold in addition.
+Each licence is a limit with the solver's name. A slot is a lease of 60 s that Prefect renews while
+the solver runs, so the slots of a killed campaign are free after a minute. The limits of this
+machine apply as well. A separate file, because importing Prefect is slow.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from modetune.flows.jobs.limits import OWN, Limit, Limits
 
 logger = logging.getLogger(__name__)
 
-#: What a server that is gone, or does not count, raises.
+#: Errors of a server that is gone or does not support limits.
 REFUSED = (
     PrefectException, ConcurrencySlotAcquisitionError, httpx.HTTPError, OSError, RuntimeError
 )  # fmt: skip
-#: Seconds that a slot stays taken without a renewal, the least that servers grant.
+#: Seconds until a slot that is not renewed becomes free, the minimum that servers allow.
 LEASE_S = 60.0
-#: Seconds of one request for a slot that others hold; cancellation is looked at in between.
+#: Seconds that one request waits for a slot; cancellation is checked between requests.
 WAIT_S = 2.0
 
 
 class PrefectLimits:
-    """Limits of this machine, with the licences among them counted by Prefect's server as well.
+    """The limits of this machine, with licences counted by Prefect's server as well.
 
-    A server that refuses, or does not answer, is not asked again by this campaign.
+    After the first failure of the server only this machine's limits apply.
     """
 
     def __init__(self, machine: Limits) -> None:
@@ -44,7 +44,7 @@ class PrefectLimits:
 
     @contextmanager
     def held(self, limits: tuple[Limit, ...], waiting: Callable[[str], None]) -> Iterator[None]:
-        """As `Limits.held`; licences first, so that no core waits for one."""
+        """Hold slots as `Limits.held` does, licences first, so that no core waits for one."""
         licences = sorted((item for item in limits if item.name not in OWN), key=lambda i: i.name)
         with ExitStack() as held:
             for limit in licences:
@@ -64,7 +64,8 @@ class PrefectLimits:
         except REFUSED as error:
             self._counts = False
             logger.warning(
-                "Prefect's server counts no licences (%s): this machine alone does", error
+                "Prefect's server does not count licences (%s); only this machine's limits apply",
+                error,
             )
 
     def _taken(self, limit: Limit, held: ExitStack) -> bool:

@@ -1,8 +1,8 @@
-"""Runners on Prefect's engine: every piece of work is a task run of the flow around it.
+"""Runners on Prefect's engine: each task is a task run of the surrounding flow.
 
-Tasks get plain objects (a piece, a computation), which Prefect does not look into; results stay in
-the store. The edges of a run's graph are given as dependencies, which Prefect draws and does not
-wait for: what a task needs it takes from the store, so a failed column stops no other.
+Prefect does not inspect the plain objects that the tasks get, and results stay in the store.
+Dependencies only draw the edges of the graph; Prefect does not wait for them. Tasks read their
+inputs from the store, so a failed sensitivity column stops no other.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from uuid import UUID, uuid4
 from prefect import Task as PrefectTask
 from prefect import task
 from prefect.cache_policies import NO_CACHE
-from prefect.client.schemas.objects import RunInput, State, TaskRun, TaskRunResult
+from prefect.client.schemas.objects import RunInput, State, TaskRunResult
+from prefect.client.schemas.objects import TaskRun as PrefectTaskRecord
 from prefect.context import get_settings_context
 from prefect.events.clients import PrefectEventsClient
 from prefect.events.worker import EventsWorker
@@ -38,36 +39,44 @@ from modetune.flows.jobs.dask_cluster import (
     end_runs,
     workers_apart,
 )
-from modetune.flows.jobs.work import Answer, Computation, Piece, Task, TaskEnd, task_end, tried
+from modetune.flows.jobs.runner import (
+    Computation,
+    Task,
+    TaskResult,
+    TaskRun,
+    TaskState,
+    retry,
+    task_state,
+)
 
 logger = logging.getLogger(__name__)
 
-#: Of all our tasks: results are the store's, not Prefect's.
+#: For all tasks: the store keeps results, not Prefect.
 OPTIONS: dict[str, Any] = {"cache_policy": NO_CACHE, "persist_result": False}
 
 
-def may_be_tried_again(of: PrefectTask[..., Any], run: TaskRun, state: State[Any]) -> bool:
-    """Whether a failed task runs once more: its error says so.
+def retry_allowed(of: PrefectTask[..., Any], run: PrefectTaskRecord, state: State[Any]) -> bool:
+    """Return whether a failed task may run again, according to its error.
 
-    A plain function: Prefect ignores methods here.
+    A function, because Prefect ignores methods here.
     """
     return bool(getattr(state.data, "again", False))
 
 
-@task(**OPTIONS, retry_condition_fn=may_be_tried_again)
-def solve(piece: Piece, after: object = None) -> State[Any]:
-    """One try of a piece of solver work; its state has the answer."""
+@task(**OPTIONS, retry_condition_fn=retry_allowed)
+def solve(work: Task, after: object = None) -> State[Any]:
+    """Attempt a task of solver work once; the state contains its result."""
     try:
-        answer = piece.attempt()
+        answer = work.attempt()
     except SolverCancelled as error:
         return Cancelled(message=str(error))
-    end = task_end(answer.jobs)
+    end = task_state(answer.jobs)
     return Completed(name=end.name, message=end.message, data=answer)
 
 
 @task(**OPTIONS)
 def compute(work: Computation[Any], after: object = None) -> State[Any]:
-    """A solution, a reduced model or a step, computed in the flow's process."""
+    """Compute a solution, reduced model or step in the flow's process."""
     try:
         end = work.run()
     except SolverCancelled as error:
@@ -76,8 +85,8 @@ def compute(work: Computation[Any], after: object = None) -> State[Any]:
 
 
 @task(**OPTIONS)
-def note(end: TaskEnd, after: object = None) -> State[Any]:
-    """A piece of work that did not have to run, or was not tried."""
+def note(end: TaskState, after: object = None) -> State[Any]:
+    """Show a task that was skipped or not attempted."""
     made = Cancelled if end.kind == "CANCELLED" else Completed
     return made(name=end.name, message=end.message)
 
@@ -85,10 +94,10 @@ def note(end: TaskEnd, after: object = None) -> State[Any]:
 class PrefectTaskRun:
     """A task run of Prefect's engine; id: its identity, for edges of the graph."""
 
-    def __init__(self, run: UUID, future: PrefectFuture[Any] | None, piece: Piece | None) -> None:
+    def __init__(self, run: UUID, future: PrefectFuture[Any] | None, work: Task | None) -> None:
         self.id = run
         self._future = future
-        self._piece = piece
+        self._work = work
 
     def done(self) -> bool:
         return self._future is None or self._future.wrapped_future.done()  # type: ignore[attr-defined]
@@ -97,10 +106,10 @@ class PrefectTaskRun:
         if self._future is not None:
             self._future.wait(seconds)
 
-    def result(self) -> Answer:
-        assert self._piece is not None
+    def result(self) -> TaskResult:
+        assert self._work is not None
         if self._future is None:
-            return self._piece.attempt()
+            return self._work.attempt()
         try:
             self._future.wait()
             state = self._future.state
@@ -110,12 +119,12 @@ class PrefectTaskRun:
         except ModetuneError:
             raise
         except Exception as error:
-            # What Prefect's engine itself stumbles over keeps no job from being solved.
-            if self._piece.fault is not None or not self._piece.stays:
+            # If Prefect's engine itself fails, solve the job without it.
+            if self._work.fault is not None or not self._work.stays:
                 raise
             logger.warning("Prefect did not run a task (%s: %s)", type(error).__name__, error)
-            return tried(self._piece.attempt)
-        assert isinstance(answer, Answer)
+            return retry(self._work.attempt)
+        assert isinstance(answer, TaskResult)
         return answer
 
     def cancel(self) -> None:
@@ -130,7 +139,7 @@ class PrefectTaskRun:
 
 
 class PrefectRunner:
-    """Pieces on one of Prefect's task runners, computations in the thread that asks for them."""
+    """Runs tasks on one of Prefect's task runners, computations in the calling thread."""
 
     remote = False
 
@@ -139,32 +148,32 @@ class PrefectRunner:
         self._runner = runner
         self._lock = Lock()
 
-    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
-        of = solve.with_options(**_named(name), retries=piece.tries - 1)
-        with self._lock:  # updates in parallel share the runner
+    def submit(self, name: str, work: Task, after: Sequence[TaskRun]) -> TaskRun:
+        of = solve.with_options(**_named(name), retries=work.tries - 1)
+        with self._lock:  # parallel updates share the runner
             future = self._runner.submit(
-                of, {"piece": piece, "after": None}, dependencies=_edges(after)
+                of, {"work": work, "after": None}, dependencies=_edges(after)
             )
-        return self._run(future, piece)
+        return self._run(future, work)
 
-    def compute(self, name: str, work: Computation[Any], after: Sequence[Task]) -> Task:
+    def compute(self, name: str, work: Computation[Any], after: Sequence[TaskRun]) -> TaskRun:
         run = self._here(compute.with_options(**_named(name)), {"work": work}, after)
         if not work.has_run:
             work.run()
         return run
 
-    def note(self, name: str, end: TaskEnd, after: Sequence[Task]) -> None:
+    def note(self, name: str, end: TaskState, after: Sequence[TaskRun]) -> None:
         self._here(note.with_options(**_named(name)), {"end": end}, after)
 
-    def _run(self, future: PrefectFuture[Any], piece: Piece) -> Task:
-        return PrefectTaskRun(future.task_run_id, future, piece)
+    def _run(self, future: PrefectFuture[Any], work: Task) -> TaskRun:
+        return PrefectTaskRun(future.task_run_id, future, work)
 
     def _here(
         self,
         of: PrefectTask[..., Any],
         parameters: dict[str, Any],
-        after: Sequence[Task],
-        piece: Piece | None = None,
+        after: Sequence[TaskRun],
+        work: Task | None = None,
     ) -> PrefectTaskRun:
         run = uuid4()
         run_task_sync(
@@ -174,22 +183,22 @@ class PrefectRunner:
             return_type="state",
             dependencies=_edges(after),
         )
-        return PrefectTaskRun(run, None, piece)
+        return PrefectTaskRun(run, None, work)
 
 
-class DaskTaskRun(PrefectTaskRun):
+class PrefectDaskRun(PrefectTaskRun):
     """A task run on a Dask cluster."""
 
-    def __init__(self, run: UUID, future: PrefectFuture[Any], piece: Piece) -> None:
-        super().__init__(run, future, piece)
+    def __init__(self, run: UUID, future: PrefectFuture[Any], work: Task) -> None:
+        super().__init__(run, future, work)
         self._dask = future.wrapped_future  # type: ignore[attr-defined]
 
-    def result(self) -> Answer:
+    def result(self) -> TaskResult:
         return dask_result(super().result, self._dask)
 
 
 class PrefectDaskRunner(PrefectRunner):
-    """Pieces on Prefect's Dask runner, in the processes of its workers."""
+    """Runs tasks on Prefect's Dask runner, in the processes of its workers."""
 
     remote = True
 
@@ -197,26 +206,26 @@ class PrefectDaskRunner(PrefectRunner):
         super().__init__(runner, parallel)
         self.runs: set[str] = set()
 
-    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
-        if piece.stays:
-            end = {"end": task_end(piece.attempt().jobs)}
-            return self._here(note.with_options(**_named(name)), end, after, piece)
-        if piece.order is not None:
-            self.runs.add(piece.order.run)
-        return super().submit(name, piece, after)
+    def submit(self, name: str, work: Task, after: Sequence[TaskRun]) -> TaskRun:
+        if work.stays:
+            end = {"end": task_state(work.attempt().jobs)}
+            return self._here(note.with_options(**_named(name)), end, after, work)
+        if work.order is not None:
+            self.runs.add(work.order.run)
+        return super().submit(name, work, after)
 
-    def _run(self, future: PrefectFuture[Any], piece: Piece) -> Task:
-        return DaskTaskRun(future.task_run_id, future, piece)
+    def _run(self, future: PrefectFuture[Any], work: Task) -> TaskRun:
+        return PrefectDaskRun(future.task_run_id, future, work)
 
 
 def bounded_events(url: str) -> None:
-    """From now on this process drops events that the server does not take at once."""
+    """Drop events of this process that the server does not accept at once."""
     EventsWorker.set_client_override(PrefectEventsClient, api_url=url, reconnection_attempts=0)
 
 
 @contextmanager
 def task_runner(runner: TaskRunner[Any], parallel: int) -> Iterator[PrefectRunner]:
-    """A runner on one of Prefect's task runners, for as long as this lasts."""
+    """Open a runner on one of Prefect's task runners."""
     with runner:
         here = isinstance(runner, ThreadPoolTaskRunner)
         yield (PrefectRunner if here else PrefectDaskRunner)(runner, parallel)
@@ -226,9 +235,9 @@ def task_runner(runner: TaskRunner[Any], parallel: int) -> Iterator[PrefectRunne
 def dask_task_runner(
     section: DaskSection, threads: int, parallel: int
 ) -> Iterator[PrefectDaskRunner | DaskRunner]:
-    """A runner on the cluster that a campaign asks for. Raises CampaignError.
+    """Open a runner on a campaign's Dask cluster. Raises CampaignError.
 
-    Where workers do not reach Prefect's server, they get the same work without Prefect.
+    If some workers cannot reach Prefect's server, all work runs on the cluster without Prefect.
     """
     with cluster(section, threads) as own:
         from prefect_dask.task_runners import DaskTaskRunner
@@ -241,8 +250,8 @@ def dask_task_runner(
             found: PrefectDaskRunner | DaskRunner = PrefectDaskRunner(runner, parallel)
             if apart := workers_apart(client, url):
                 logger.warning(
-                    "%d Dask workers do not reach Prefect's server at %s (%s): they solve without "
-                    "Prefect; set PREFECT_API_URL to an address that they reach",
+                    "%d Dask workers cannot reach Prefect's server at %s (%s) and run without "
+                    "Prefect; set PREFECT_API_URL to an address they can reach",
                     len(apart), url, ", ".join(apart[:3])
                 )  # fmt: skip
                 found = DaskRunner(client, parallel)
@@ -254,8 +263,8 @@ def dask_task_runner(
 
 
 def _worker_plugin(url: str) -> Any:
-    """A plugin of Dask workers: events that a server does not take are dropped at once, and
-    Prefect's log stays out of the terminal unless the user set its level."""
+    """Create a plugin of Dask workers that drops events a server does not accept at once and keeps
+    Prefect's log out of the terminal unless the user set its level."""
     from distributed import WorkerPlugin
 
     class PrefectWorker(WorkerPlugin):
@@ -270,16 +279,16 @@ def _worker_plugin(url: str) -> Any:
 
 
 def _named(name: str) -> dict[str, Any]:
-    """Options that name a task by its kind, and its run as people see it."""
+    """Options that name a task by its kind and its run by its full name."""
     kind = name.rpartition(" / ")[2].split()[0]
 
-    def run_name() -> str:  # a text would be taken for a template
+    def run_name() -> str:  # Prefect treats a string as a template
         return name
 
     return {"name": kind, "task_run_name": run_name}
 
 
-def _edges(after: Sequence[Task]) -> dict[str, set[RunInput]]:
-    """Task runs that a task follows from, as dependencies of its parameter `after`."""
+def _edges(after: Sequence[TaskRun]) -> dict[str, set[RunInput]]:
+    """The predecessors of a task as dependencies of its parameter `after`."""
     runs = (item.id for item in after if isinstance(item, PrefectTaskRun))
     return {"after": {TaskRunResult(id=run) for run in runs}}

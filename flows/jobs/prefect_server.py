@@ -1,15 +1,15 @@
-"""Prefect's server: the user's own where one is configured, else one that all commands share.
+"""Prefect's server: the one the user configured, or one shared by all commands of a user.
 
-PREFECT_API_URL, in the environment or in Prefect's active profile, names the user's own, which is
-used as it is with the user's login. Otherwise one server on loopback serves all commands of a user:
-the first one that needs it starts it in the background, and the next finds it in `server.json`. It
-ends when no command has used it for a while: each command holds the lock of a file in `users/`,
-which is free when the command dies. Its keeper marks runs that died. Nothing here imports Prefect.
+PREFECT_API_URL, in the environment or in Prefect's active profile, names the configured server,
+which is used with the user's login. Otherwise the first command starts a server on loopback in the
+background, and later ones find its address in `server.json`. Each command holds the lock of a file
+in `users/`, which the system releases when the command dies; the server's keeper ends it after
+some time without users, and marks dead runs as crashed. Nothing here imports Prefect.
 
-Loopback is open to every account of a machine, so the shared server asks for a login: a random
-secret in a file that its owner alone can read, in a folder of the same kind. It reaches processes
-by file and environment, never by a command line, and only a process of the same user receives it.
-Folders are named for host and user: a home may be shared by several machines.
+Every account of a machine can connect to loopback, so the shared server requires a login: a random
+secret in a file and folder that only the owner can read. Processes of the same user receive it by
+file or environment, never on a command line. Folder names contain host and user, because several
+machines may share a home folder.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from modetune.core.storage.locks import FileLock
 from modetune.flows.campaign.site import HOME_VARIABLE as HOME_VARIABLE
 from modetune.flows.campaign.site import machine_home as machine_home
 from modetune.flows.campaign.site import server_home as server_home
+from modetune.flows.jobs.heartbeats import LOOK_S, HeartbeatWatch
 from modetune.flows.jobs.server_client import (
     PROBE_S,
     Answer,
@@ -46,28 +47,27 @@ from modetune.flows.jobs.server_client import (
     ServerRefused,
     prefect_setting,
 )
-from modetune.flows.jobs.silent_runs import LOOK_S, SilentRuns
 
 #: The outcome of a request to end the shared server.
 Stopped = Literal["stopped", "none", "in use"]
 #: Seconds without a user after which the shared server ends.
 IDLE_VARIABLE = "MODETUNE_SERVER_IDLE_S"
 IDLE_S = 900.0
-#: Seconds until the shared server answers on a machine whose cores are overloaded tenfold.
+#: Seconds until the shared server answers on a machine with tenfold overload.
 START_PATIENCE_S = 300.0
-#: The server that the user configured is up already or it is not.
+#: Seconds until a configured server, which should be running already, answers.
 CONFIGURED_PATIENCE_S = 10.0
-#: Seconds for which another process may start, end or begin to use the server.
+#: Seconds that another process may take to start, end or begin to use the server.
 GATE_S = 10.0
 
-#: Quiet and offline, for the server and its clients.
+#: Settings of server and clients: no telemetry, almost no log.
 QUIET: Mapping[str, str] = {
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "DO_NOT_TRACK": "1",
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
 }
-#: Fit for many small task runs on SQLite.
+#: Settings of the server, for many small task runs on SQLite.
 SETTINGS: Mapping[str, str] = {
     **QUIET,
     "PREFECT_SERVER_UI_SHOW_PROMOTIONAL_CONTENT": "false",
@@ -75,14 +75,14 @@ SETTINGS: Mapping[str, str] = {
         "prefect.server.concurrency.lease_storage.filesystem",
     "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
     "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_READ_BATCH_SIZE": "100",
-    # Whole seconds: Prefect 3.8.8 cuts 0.5 down to 0, and an idle server then never sleeps.
+    # Whole seconds: Prefect 3.8.8 truncates 0.5 to 0, and an idle server then never sleeps.
     "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "1",
-    # A slot that a killed campaign held is free at once when its lease has run out.
+    # Free the slots of a killed campaign soon after their lease has expired.
     "PREFECT_SERVER_SERVICES_REPOSSESSOR_LOOP_SECONDS": "5",
 }  # fmt: skip
 
 
-#: Variables of the user's that would lead a process to another server than the shared one.
+#: User variables that would direct a process to a server other than the shared one.
 FOREIGN = (
     "PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "PREFECT_API_KEY", "PREFECT_PROFILE",
     "PREFECT_PROFILES_PATH",
@@ -91,7 +91,7 @@ FOREIGN = (
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a server answers, without a name and password, and the process that keeps it."""
+    """The address of a server, without login, and the process id of its keeper."""
 
     url: str
     pid: int
@@ -99,10 +99,10 @@ class Address:
 
 @dataclass(slots=True)
 class SharedServer:
-    """The use of a server by this process, until `close` or the end of the process.
+    """A server used by this process until `close`.
 
-    use: the lock that shows others this use; None for the user's own server. login:
-    `name:password`; key: the API key of the user's own server.
+    use is the lock that shows this use to others, None for a configured server; login is
+    `name:password`; key is the API key of a configured server.
     """
 
     home: Path
@@ -118,9 +118,9 @@ class SharedServer:
     def wait(
         self, seconds: float = START_PATIENCE_S, waiting: Callable[[float], None] | None = None
     ) -> Answer:
-        """Wait until the address answers, so many seconds at most; return the last answer.
+        """Wait until the address answers, at most `seconds`; return the last answer.
 
-        waiting: called about once a second with the seconds waited.
+        waiting is called about once a second with the seconds waited.
         """
         if not self.shared:
             seconds = min(seconds, CONFIGURED_PATIENCE_S)
@@ -138,7 +138,7 @@ class SharedServer:
         return found
 
     def describe(self, answer: Answer) -> str:
-        """Return the sentence about an address that gave this answer, and what to do."""
+        """Return a sentence on an address that gave this answer, with a remedy."""
         if self.shared:
             return f"Prefect's server {answer} (its log is in {self.home})"
         remedy = {
@@ -148,7 +148,7 @@ class SharedServer:
         return f"{self.address.url}, named by PREFECT_API_URL, {answer}{remedy}"
 
     def answer(self, seconds: float = PROBE_S) -> Answer:
-        """Probe the address, PROBE_S at most. A process of another user receives no secret."""
+        """Probe the address for at most PROBE_S; send no secret to another user's process."""
         if self.shared and not is_ours(self.address.url):
             return "does not answer"
         return self.client.answer(min(seconds, PROBE_S))
@@ -156,8 +156,8 @@ class SharedServer:
     def settings(self) -> dict[str, str]:
         """Return the environment variables that make Prefect a client of this server.
 
-        A client of the shared server neither reads nor writes the user's own Prefect folder. What
-        the user set for logging holds.
+        A client of the shared server does not touch the user's Prefect folder. The user's logging
+        settings apply.
         """
         chosen = {
             "PREFECT_API_URL": self.address.url,
@@ -181,16 +181,16 @@ class SharedServer:
 
     @property
     def pages(self) -> str:
-        """Where people look at it."""
+        """The address of its web pages."""
         return self.address.url.removesuffix("/api")
 
     @property
     def shared(self) -> bool:
-        """Whether it is modetune's own and not one that the user configured."""
+        """Whether it is modetune's shared server, not one that the user configured."""
         return self.use is not None
 
     def close(self) -> None:
-        """End the use; the server lives on for others, and for a while."""
+        """End the use; the server continues for other processes."""
         if self.use is not None:
             self.use.remove()
             self.use.release()
@@ -219,10 +219,10 @@ def use_server(start: Literal[True] = True) -> SharedServer: ...
 @overload
 def use_server(start: bool) -> SharedServer | None: ...
 def use_server(start: bool = True) -> SharedServer | None:
-    """Find the server, or start the shared one; does not wait for it to answer.
+    """Find the server, or start the shared one, without waiting until it answers.
 
-    start: whether to start it; without, a server that is configured or runs, else None. Raises
-    StorageUnavailable where the folder of the shared server cannot be written.
+    Without start, return None if no server is configured or running. Raises StorageUnavailable if
+    the folder of the shared server cannot be written.
     """
     return configured_server() or (
         shared_server() if start or running_address(server_home()) is not None else None
@@ -230,7 +230,7 @@ def use_server(start: bool = True) -> SharedServer | None:
 
 
 def shared_server() -> SharedServer:
-    """Use the shared server, started where it does not run. Raises StorageUnavailable."""
+    """Use the shared server; start it if necessary. Raises StorageUnavailable."""
     home = server_home()
     remedy = f"name another place with {HOME_VARIABLE}, or use --no-prefect"
     with storage_errors(home / "server.json", remedy):
@@ -243,22 +243,22 @@ def shared_server() -> SharedServer:
 
 
 def make_private(folder: Path) -> None:
-    """A folder that its owner alone can enter. Raises OSError, StorageUnavailable."""
+    """Create a folder that only its owner can enter. Raises OSError, StorageUnavailable."""
     folder.parent.parent.mkdir(parents=True, exist_ok=True)
     folder.parent.mkdir(mode=0o700, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         raise StorageUnavailable(
-            f"{folder} is not a folder of the user with number {os.getuid()}; remove it, or name "
-            f"another place with {HOME_VARIABLE}"
+            f"{folder} is not a folder owned by user {os.getuid()}; remove it or choose another "
+            f"place with {HOME_VARIABLE}"
         )
     if stat.S_IMODE(found.st_mode) != 0o700:
         folder.chmod(0o700)
 
 
 def read_login(home: Path) -> str:
-    """The shared server's login, `name:password`; made where there is none yet."""
+    """Return the shared server's login, `name:password`; create it if there is none."""
     path = home / "login"
     for _ in range(2):
         try:
@@ -273,7 +273,7 @@ def read_login(home: Path) -> str:
 
 
 def _write_private(path: Path, text: str) -> None:
-    """Put a file that its owner alone can read in place, whole."""
+    """Atomically write a file that only its owner can read."""
     handle, part = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")  # mode 0600
     try:
         with os.fdopen(handle, "w") as file:
@@ -287,7 +287,7 @@ def _write_private(path: Path, text: str) -> None:
 
 
 def read_address(home: Path) -> Address | None:
-    """The address a running server left, or nothing."""
+    """Return the address that a running server recorded, None without one."""
     try:
         saved = json.loads((home / "server.json").read_text())
         return Address(str(saved["url"]), int(saved["pid"]))
@@ -296,7 +296,7 @@ def read_address(home: Path) -> Address | None:
 
 
 def is_ours(url: str) -> bool:
-    """Whether a process of this user listens at an address of this machine."""
+    """Return whether a process of this user listens at a local address."""
     port = f":{urlsplit(url).port or 0:04X}"
     lines = (line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:])
     listeners = {line[7] for line in lines if line[3] == "0A" and line[1].endswith(port)}
@@ -304,7 +304,7 @@ def is_ours(url: str) -> bool:
 
 
 def stop_server(home: Path) -> Stopped:
-    """End the shared server unless a campaign uses it."""
+    """Stop the shared server unless a campaign uses it."""
     address = running_address(home)
     if address is None:
         return "none"
@@ -325,7 +325,7 @@ def _gate(home: Path) -> AbstractContextManager[None]:
     def wait() -> None:
         if time.monotonic() > deadline:
             raise StorageUnavailable(
-                f"another process has held {home / 'server.lock'} for {GATE_S:.0f} s; end it, or "
+                f"another process has held {home / 'server.lock'} for {GATE_S:.0f} s; stop it or "
                 "use --no-prefect"
             )
         time.sleep(0.05)
@@ -342,7 +342,7 @@ def _new_use(home: Path) -> FileLock:
 
 
 def _in_use(home: Path) -> bool:
-    """Whether a living process uses the server; what dead ones left is removed."""
+    """Whether a living process uses the server; removes the locks of dead ones."""
     for path in (home / "users").glob("*.lock"):
         with FileLock(path) as use:
             if not use.take():
@@ -352,8 +352,10 @@ def _in_use(home: Path) -> bool:
 
 
 def is_keeper(pid: int) -> bool:
-    """Whether a process is a living keeper of ours: numbers are given out again, and an ended
-    child that nobody has waited for has no command line."""
+    """Return whether a process is a living keeper.
+
+    Process ids are reused, and a zombie has no command line.
+    """
     for _ in range(5):
         try:
             line = Path(f"/proc/{pid}/cmdline").read_bytes()
@@ -361,12 +363,12 @@ def is_keeper(pid: int) -> bool:
             return False
         if line:
             return b"modetune.flows.jobs.prefect_server" in line
-        time.sleep(0.05)  # one that is just being started has none yet either
+        time.sleep(0.05)  # a process that is just starting has none yet either
     return False
 
 
 def _free_port(home: Path) -> int:
-    """Return the port of the server before, so that its clients find the new one, or any other."""
+    """Return the previous server's port, so that its clients find the new one, or any free port."""
     before = read_address(home)
     ports = [urlsplit(before.url).port or 0, 0] if before is not None else [0]
     for port in ports:
@@ -386,7 +388,7 @@ def _start(home: Path) -> Address:
     port = _free_port(home)
     module = "modetune.flows.jobs.prefect_server"
     with (home / "server.log").open("wb") as log, Path(os.devnull).open("rb") as nothing:
-        keeper = os.posix_spawn(  # not Popen, which warns of a child that outlives it
+        keeper = os.posix_spawn(  # Popen warns if the child outlives it
             sys.executable,
             [sys.executable, "-P", "-m", module, str(home), str(port)],
             os.environ,
@@ -401,32 +403,32 @@ def _start(home: Path) -> Address:
     try:
         _write_private(home / "server.json", json.dumps({"url": address.url, "pid": address.pid}))
     except OSError:
-        os.kill(keeper, signal.SIGKILL)  # nobody would find it
+        os.kill(keeper, signal.SIGKILL)  # without the file no command would find it
         os.waitpid(keeper, 0)
         raise
     return address
 
 
 def keep(home: Path, port: int) -> None:
-    """Run a server until nobody has used it for a while, or until SIGTERM."""
+    """Run a server until it has had no user for some time, or until SIGTERM."""
     os.umask(0o077)
     os.chdir(home)
     environment = {
         **os.environ,
         **SETTINGS,
         "PREFECT_HOME": str(home / "prefect"),
-        # Prefect copies its pages there; by default into its own package, for one user alone.
+        # Prefect copies its pages there; the default, its own package, works for one user only.
         "PREFECT_UI_STATIC_DIRECTORY": str(home / "pages"),
         "PREFECT_SERVER_API_PORT": str(port),
         "PREFECT_SERVER_API_AUTH_STRING": read_login(home),
         "PREFECT_SERVER_API_CSRF_PROTECTION_ENABLED": "true",
-        # Pages of other places that the user has open in a browser have no business here.
+        # Web pages of other origins in the user's browser get no access.
         "PREFECT_SERVER_API_CORS_ALLOWED_ORIGINS": f"http://127.0.0.1:{port}",
     }
     for name in FOREIGN:
         environment.pop(name, None)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
-    # Below a supervisor with a pipe to this process, so that no end of ours leaves it behind.
+    # The supervisor has a pipe to this process and stops the server when this process ends.
     server = subprocess.Popen(
         [sys.executable, "-I", "-S", supervisor.__file__, "prefect.log", str(sys.maxsize),
          sys.executable, "-m", "prefect", "server", "start",
@@ -441,7 +443,7 @@ def keep(home: Path, port: int) -> None:
 
 
 def _end(server: subprocess.Popen[bytes]) -> None:
-    """End the server; its address is kept for the next one."""
+    """Stop the server; its address remains for the next one."""
     assert server.stdin is not None
     server.stdin.close()
     server.wait()
@@ -450,7 +452,7 @@ def _end(server: subprocess.Popen[bytes]) -> None:
 def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) -> None:
     limit = float(os.environ.get(IDLE_VARIABLE, IDLE_S))
     used = looked = time.monotonic()
-    watch = SilentRuns()
+    watch = HeartbeatWatch()
     client = ServerClient(url, read_login(home))
     while server.poll() is None:
         time.sleep(min(1.0, limit))
@@ -459,7 +461,9 @@ def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) ->
             try:
                 watch.look(client)
             except ServerRefused:
-                watch = SilentRuns()  # a server that did not answer received no heartbeat either
+                watch = (
+                    HeartbeatWatch()
+                )  # a server that did not answer received no heartbeat either
         with _gate(home):
             if _in_use(home):
                 used = time.monotonic()

@@ -1,10 +1,10 @@
-"""Requests to a Prefect server, each bounded in time as a whole.
+"""Requests to a Prefect server with a deadline for the whole exchange.
 
-Prefect's own client takes 1.2 s to import, retries for minutes and refuses a server of another
-version, so it serves flows and deployments; this one probes servers and watches runs. A timeout of
-httpx applies to each read, so a peer that sends a byte now and then could hold a caller for ever:
-the whole exchange is one coroutine that is cancelled at its deadline. A proxy is never asked for an
-address on loopback.
+Prefect's own client takes 1.2 s to import, retries for minutes and rejects servers of other
+versions; flows and deployments use it, while this client probes servers and watches runs. A timeout
+of httpx applies to each read, so a peer that sends single bytes could block a caller for ever:
+here the exchange is one coroutine that is cancelled at its deadline. Loopback addresses bypass
+proxies.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import httpx
 
 from modetune.core.errors import ModetuneError
 
-#: What is at an address, as this client sees it.
+#: The state of the server at an address.
 Answer = Literal["ready", "asks for a login", "is not a Prefect server", "does not answer"]
-#: Seconds that a request may take in all, and the question whether there is a server.
+#: Seconds for a whole request, and for a probe.
 PATIENCE_S = 10.0
 PROBE_S = 2.5
 #: Seconds after its deadline in which a request closes its connection.
@@ -39,20 +39,17 @@ PAUSE_S = 0.3
 
 
 class ServerRefused(ModetuneError):
-    """A request that the server refused, or that never reached it.
-
-    status: HTTP status of the answer; 0 where there was none.
-    """
+    """A request failed; status is the HTTP status of the answer, 0 without an answer."""
 
     def __init__(self, reason: str, status: int) -> None:
-        super().__init__(f"Prefect's server did not take the request: {reason}")
+        super().__init__(f"the request to Prefect's server failed: {reason}")
         self.status = status
 
 
 class ServerClient:
-    """The interface of a server at one address (`http://127.0.0.1:4200/api`), for any thread.
+    """A client of the server at one address (`http://127.0.0.1:4200/api`); thread-safe.
 
-    login: `name:password`; key: an API key, used where there is no login.
+    login is `name:password`; key is an API key, used without a login.
     """
 
     def __init__(self, url: str, login: str | None = None, key: str | None = None) -> None:
@@ -65,7 +62,7 @@ class ServerClient:
             self._headers["Authorization"] = f"Bearer {key}"
 
     def get(self, path: str, seconds: float = PATIENCE_S) -> Any:
-        """Return what the server has at this path. Raises ServerRefused."""
+        """Return the content at this path. Raises ServerRefused."""
         return self._request("GET", path, None, seconds)
 
     def post(self, path: str, content: object, seconds: float = PATIENCE_S) -> Any:
@@ -73,7 +70,7 @@ class ServerClient:
         return self._request("POST", path, content, seconds)
 
     def answer(self, seconds: float = PROBE_S) -> Answer:
-        """Find out whether this is a Prefect server that takes this client's requests."""
+        """Probe whether this is a Prefect server that accepts this client's requests."""
         try:
             version = self.get("/admin/version", seconds)
         except ServerRefused as error:
@@ -83,7 +80,7 @@ class ServerClient:
         return "ready" if isinstance(version, str) else "is not a Prefect server"
 
     def _request(self, method: str, path: str, content: object, seconds: float) -> Any:
-        """Return the answer's content, within so many seconds whatever is at the address."""
+        """Return the answer's content before the deadline, however the peer behaves."""
         future: Future[httpx.Response] = Future()
 
         def exchange() -> None:
@@ -94,8 +91,7 @@ class ServerClient:
             except BaseException as error:
                 future.set_exception(error)
 
-        # In a thread, because the look-up of a host's name has no timeout, and because the caller
-        # may have an event loop.
+        # A thread, because name resolution has no timeout and the caller may have an event loop.
         thread = threading.Thread(target=exchange, name="prefect-request", daemon=True)
         thread.start()
         thread.join(seconds + CLOSING_S)
@@ -135,7 +131,7 @@ class ServerClient:
 
 
 async def _forgery_token(client: httpx.AsyncClient) -> dict[str, str]:
-    """Return headers with a token that proves a request is meant; none without that protection."""
+    """Return headers with Prefect's CSRF token; {} if the server uses none."""
     name = str(uuid4())
     reply = await client.get("/csrf-token", params={"client": name})
     if reply.status_code != httpx.codes.OK:
@@ -144,7 +140,7 @@ async def _forgery_token(client: httpx.AsyncClient) -> dict[str, str]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host's name is this machine's own, which no proxy can reach."""
+    """Return whether a host name means this machine, which proxies cannot reach."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -152,9 +148,9 @@ def is_loopback(host: str) -> bool:
 
 
 def prefect_setting(name: str) -> str:
-    """Return a setting of the user's: environment first, then Prefect's active profile; "" if none.
+    """Return a user's setting from the environment or Prefect's active profile; "" if none.
 
-    Reads the profile's file without Prefect, which takes a second to import.
+    Reads the profile file directly, because importing Prefect takes a second.
     """
     if value := os.environ.get(name):
         return value
@@ -170,7 +166,7 @@ def prefect_setting(name: str) -> str:
 
 
 def _certificates() -> ssl.SSLContext | bool:
-    """Return whom to trust with a server's identity, by the settings that Prefect has for it."""
+    """Return the certificates to trust, according to Prefect's settings."""
     if prefect_setting("PREFECT_API_TLS_INSECURE_SKIP_VERIFY").lower() in ("1", "true"):
         return False
     file = prefect_setting("PREFECT_API_SSL_CERT_FILE") or os.environ.get("SSL_CERT_FILE")

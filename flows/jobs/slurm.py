@@ -1,9 +1,8 @@
-"""`engine: slurm`: every solver command goes through `srun`, and Slurm counts cores and licences.
+"""`engine: slurm`: every solver command runs through `srun`; Slurm counts cores and licences.
 
-The campaign itself stays where it was started, with a thread a job; the job's folder is on a disk
-that the nodes share. Slurm ends a job that runs out of time; the time it waits in the queue does
-not count. What srun and its daemons say in the log tells a job that Slurm ended from one that the
-solver ended.
+The campaign runs where it was started, with one thread per job; job folders are on a disk that the
+nodes share. Slurm ends a job that exceeds its time, without the waiting time in the queue. The
+messages of srun and its daemons in the log distinguish jobs that Slurm ended from solver failures.
 """
 
 from __future__ import annotations
@@ -31,30 +30,30 @@ from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
 
 LAUNCHER = Path(__file__).with_name("srun.py")
 MISSING = (
-    "`engine: slurm` needs Slurm's program `srun`, which is not on PATH here; start the campaign "
-    "on a machine of the cluster, or use `engine: local`"
+    "`engine: slurm` needs Slurm's program `srun`, which is not on PATH; start the campaign on a "
+    "machine of the cluster, or use `engine: local`"
 )
-#: What Slurm says of a job, the error it means, and what it means for people.
-SAID: tuple[tuple[str, type[SolverError], str], ...] = (
+#: Slurm's messages, the error that each means, and a sentence for the user.
+MESSAGES: tuple[tuple[str, type[SolverError], str], ...] = (
     ("DUE TO TIME LIMIT", SolverTimeout,
-     "Slurm ended the job because its time was over; raise `run: timeout_s` or `run.slurm.time`"),
-    ("oom_kill", SolverExhausted, "Slurm ended the job because it wanted more memory than it has"),
-    ("oom-kill", SolverExhausted, "Slurm ended the job because it wanted more memory than it has"),
+     "the job exceeded its time limit in Slurm; raise `run: timeout_s` or `run.slurm.time`"),
+    ("oom_kill", SolverExhausted, "the job exceeded its memory limit in Slurm"),
+    ("oom-kill", SolverExhausted, "the job exceeded its memory limit in Slurm"),
     ("Unable to allocate resources", SolverMissing,
-     "Slurm refused the job; look at `run.slurm` and `run.licences` in campaign and site file"),
-    ("error: execve():", SolverMissing, "the solver's program is not on the node of the job"),
+     "Slurm refused the job; check `run.slurm` and `run.licences` in campaign and site file"),
+    ("error: execve():", SolverMissing, "the job's node does not have the solver's program"),
     ("couldn't chdir to", SolverMissing,
-     "the job's folder is not on its node; the store must be on a disk that all nodes share"),
+     "the job's node does not have its folder; put the store on a disk that all nodes share"),
     ("CANCELLED AT", SolverCrashed, "the job was cancelled in Slurm"),
     ("Node failure", SolverCrashed, "the node of the job failed"),
 )  # fmt: skip
-#: Who speaks in a line of the log that is Slurm's.
-SPEAKERS = ("srun:", "slurmstepd")
+#: How Slurm's lines in the log begin.
+PREFIXES = ("srun:", "slurmstepd")
 
 
 @dataclass(frozen=True, slots=True)
 class SlurmLauncher:
-    """Starts programs by `srun`. options: what it is told before a solver's command."""
+    """Starts programs by `srun` with these options."""
 
     options: tuple[str, ...]
 
@@ -63,9 +62,9 @@ class SlurmLauncher:
         return replace(command, arguments=(*start, *self.options, *command.arguments))
 
     def check(self, folder: Path, return_code: int) -> None:
-        """Raise the error that Slurm's lines in the log mean; nothing where it has said none."""
-        lines = [line for line in read_log(folder).splitlines() if line.startswith(SPEAKERS)]
-        for words, error, meaning in SAID:
+        """Raise the error that Slurm's messages in the log mean, if there are any."""
+        lines = [line for line in read_log(folder).splitlines() if line.startswith(PREFIXES)]
+        for words, error, meaning in MESSAGES:
             line = next((line for line in lines if words in line), None)
             if line is not None:
                 raise error(f"{meaning} (job in {folder}):\n  | {line}")
@@ -74,7 +73,7 @@ class SlurmLauncher:
 
 
 def on_slurm(engine: JobEngine, slurm: SlurmSection, name: str) -> JobEngine:
-    """An engine whose jobs Slurm runs. name: the campaign's, for the job. Raises SolverMissing."""
+    """Return an engine whose jobs Slurm runs under the campaign's name. Raises SolverMissing."""
     if shutil.which("srun") is None:
         raise SolverMissing(MISSING)
     options = srun_options(engine, slurm, name, os.environ)
@@ -83,7 +82,7 @@ def on_slurm(engine: JobEngine, slurm: SlurmSection, name: str) -> JobEngine:
         engine,
         launcher=SlurmLauncher(options),
         counter=MachineLimits(None),
-        # Slurm's own limit ends a job that runs; this one ends one that never gets to.
+        # Slurm limits the running time; this limit ends a job that stays in the queue.
         policy=replace(policy, timeout_s=policy.timeout_s + policy.licence_wait_s),
     )
 
@@ -91,10 +90,10 @@ def on_slurm(engine: JobEngine, slurm: SlurmSection, name: str) -> JobEngine:
 def srun_options(
     engine: JobEngine, slurm: SlurmSection, name: str, environment: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """What `srun` is told before the solver's command.
+    """Return the options of `srun` for a solver command.
 
-    Inside an allocation (`sbatch`, `salloc`) jobs are steps of it: partition, account and licences
-    are the allocation's, and steps share its cores.
+    Inside an allocation (`sbatch`, `salloc`) jobs are its steps: partition, account and licences
+    are the allocation's, and the steps share its cores.
     """
     options = ["--nodes=1", "--ntasks=1", "--kill-on-bad-exit=1", "--quiet", "--input=none"]
     options += [f"--cpus-per-task={engine.threads}", f"--job-name=modetune-{name}"]

@@ -1,9 +1,9 @@
-"""Starts `srun` so that its job ends with it, however its campaign ends.
+"""Runs `srun` so that its job ends with the campaign.
 
-Run as a script, standard library only: `srun.py ARGUMENT...`. A campaign's programs are ended by
-SIGKILL, of which srun learns nothing: a job that waits in Slurm's queue would start later, for
-nobody, and hold its node. So srun stands in a process group of its own, and the kernel sends it
-SIGTERM when this script ends; then it revokes its job, waiting or running.
+A script with the standard library only: `srun.py ARGUMENT...`. Campaigns stop programs by SIGKILL,
+which srun cannot handle: its job would stay in Slurm's queue and start later without a campaign. So
+srun gets its own process group, and the kernel sends it SIGTERM when this script ends; srun then
+cancels its waiting or running job.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ PR_SET_PDEATHSIG, SIGTERM = 1, 15
 
 def _end_with(parent: int) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, SIGTERM)
-    if os.getppid() != parent:  # it died before the kernel was told
+    if os.getppid() != parent:  # the parent died before prctl
         os._exit(1)
 
 
 def main(arguments: list[str]) -> int:
-    """Run srun to its end; its return code, as a shell tells it."""
+    """Run srun and return its exit code, 128 + N after signal N as in a shell."""
     parent = os.getpid()
     ended = subprocess.run(
         ["srun", *arguments],

@@ -1,11 +1,17 @@
-"""The files of a store: entries, and what runs left beside them; what may be removed.
+"""The files of a store: entries and other files, and which of them may be removed.
 
-Leftovers are what runs that were killed left behind and nobody will use again: half-written files,
-folders of jobs that nobody runs any more, files of locks (one that is held stays), indexes of
-machines that did not come back. A job that is under way holds its key's lock, so its folder is
-never a leftover. Entries of other formats belong to other versions of modetune, and are removed
-only when that is asked. A campaign that runs may read any result again, however old: while one does
-results stay.
+Leftovers are files of killed runs that no process will use again: half-written files, folders of
+interrupted jobs, unlocked lock files, indexes of machines that have not used the store for a month.
+A running job holds its key's lock, so its folder is never a leftover. Entries of other formats
+belong to other versions of modetune and are removed only on request. A running campaign may read
+any result again, so no result is removed while one runs.
+
+Factorisations too large for memory use a folder of their own, with a lock of the same name:
+
+    STORE/jobs/factors-NAME.part
+
+It is removed with its matrix or when the process ends; after a kill, by the next campaign that uses
+the store.
 """
 
 from __future__ import annotations
@@ -15,62 +21,65 @@ import re
 import shutil
 import time
 import uuid
+import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.errors import StorageUnavailable
 from modetune.core.storage.files import machine_user, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
-from modetune.flows.jobs.store_index import Chosen, ask_index
+from modetune.flows.jobs.store_index import EntryFilter, query_index
 
-What = Literal[
+FileKind = Literal[
     "result",
     "result of another format",
     "damaged result",
     "failed job",
     "kept job",
     "deck's text",
-    "job broken off",
+    "interrupted job",
     "half-written file",
     "lock",
     "index of another machine",
 ]
-LEFTOVERS: tuple[What, ...] = (
-    "job broken off", "half-written file", "lock", "index of another machine",
+LEFTOVERS: tuple[FileKind, ...] = (
+    "interrupted job", "half-written file", "lock", "index of another machine",
 )  # fmt: skip
-#: A file is written in less.
+#: A half-written file older than this is a leftover.
 WRITTEN_S = 3600.0
-#: A machine that did not ask for so long does so no more.
+#: An index that a machine has not used for so long is a leftover.
 FORGOTTEN_S = 30 * 86400.0
-#: How the lock begins that a campaign holds while it runs.
+#: Prefix of the lock that a running campaign holds.
 CAMPAIGN = "campaign-"
-#: What a campaign that runs may read.
-READ: tuple[What, ...] = ("result", "deck's text")
+#: Files that a running campaign may read.
+READABLE: tuple[FileKind, ...] = ("result", "deck's text")
 
 
 @dataclass(frozen=True, slots=True)
 class StoreFile:
-    """A file or folder of a store; written_s: since 1970; size: in bytes, of all that is in it."""
+    """A file or folder of a store: total size in bytes, and its time in seconds since 1970."""
 
-    what: What
+    what: FileKind
     path: Path
     size: int
     written_s: float
 
     @property
     def key(self) -> str:
-        """The key it belongs to; empty where it has none."""
+        """The key it belongs to, "" without one."""
         start = self.path.name.partition(".")[0]
         return start if re.fullmatch("[0-9a-f]{64}", start) else ""
 
 
 @contextmanager
 def in_use(store: Store) -> Iterator[None]:
-    """Results of a store stay for as long as this lasts. Raises StorageUnavailable."""
+    """Protect the results of a store in this context. Raises StorageUnavailable."""
     lock = FileLock(store.folder / "locks" / f"{CAMPAIGN}{uuid.uuid4().hex}")
     with lock.held(lambda: time.sleep(0.01)):
         try:
@@ -80,19 +89,19 @@ def in_use(store: Store) -> Iterator[None]:
 
 
 def campaigns_running(store: Store) -> int:
-    """How many campaigns and studies run with a store."""
+    """Return the number of campaigns and studies that use a store."""
     found = {path.name.partition(".")[0] for path in _inside(store.folder / "locks")}
     return sum(name.startswith(CAMPAIGN) and not _idle(store, name) for name in found)
 
 
-def results(store: Store, chosen: Chosen) -> Iterator[StoreFile]:
-    """The entries that were chosen, the oldest first."""
-    for key, size, written_s in ask_index(store, lambda index: index.files(chosen)):
+def results(store: Store, chosen: EntryFilter) -> Iterator[StoreFile]:
+    """Yield the selected entries, the oldest first."""
+    for key, size, written_s in query_index(store, lambda index: index.files(chosen)):
         yield StoreFile("result", store.path(key), size, written_s)
 
 
-def beside(store: Store, now_s: float) -> Iterator[StoreFile]:
-    """Everything else that a store has."""
+def other_files(store: Store, now_s: float) -> Iterator[StoreFile]:
+    """Yield all files of a store other than entries of this format."""
     for folder in sorted(_inside(store.folder)):
         if re.fullmatch("[0-9a-f]{2}", folder.name):
             for path in _inside(folder):
@@ -109,7 +118,7 @@ def beside(store: Store, now_s: float) -> Iterator[StoreFile]:
     for path in _inside(store.folder / "jobs"):
         if path.suffix == ".part":
             if _idle(store, path.stem):
-                yield from _file("job broken off", path)
+                yield from _file("interrupted job", path)
         else:
             yield from _file("failed job" if path.suffix == ".failed" else "kept job", path)
     for path in _inside(store.folder / "locks"):
@@ -122,43 +131,43 @@ def beside(store: Store, now_s: float) -> Iterator[StoreFile]:
 def prunable(
     store: Store, now_s: float, older_s: float | None, larger: int | None, formats: bool
 ) -> list[StoreFile]:
-    """What `remove` may be given: leftovers, and what is older and larger than was asked.
+    """Return the files to prune: leftovers, and files older and larger than the given limits.
 
-    formats: entries of other formats too. Of our own only with an age or a size, and while no
-    campaign runs.
+    formats includes entries of other formats. Entries of this format need an age or size limit, and
+    stay while a campaign runs.
     """
-    kept = READ if campaigns_running(store) else ()
+    protected = READABLE if campaigns_running(store) else ()
     before_s = now_s - older_s if older_s is not None else now_s + 1e9
     filtered = older_s is not None or larger is not None
     found: list[StoreFile] = []
-    if filtered and "result" not in kept:
-        found += results(store, Chosen(int(before_s * 1e9), larger or 0))
-    for item in beside(store, now_s):
-        asked = formats if item.what == "result of another format" else filtered
+    if filtered and "result" not in protected:
+        found += results(store, EntryFilter(int(before_s * 1e9), larger or 0))
+    for item in other_files(store, now_s):
+        wanted = formats if item.what == "result of another format" else filtered
         fits = item.written_s <= before_s and item.size >= (larger or 0)
-        if item.what in LEFTOVERS or (asked and fits and item.what not in kept):
+        if item.what in LEFTOVERS or (wanted and fits and item.what not in protected):
             found.append(item)
     return found
 
 
 def files_of(store: Store, key: str) -> list[StoreFile]:
-    """All that a store has of one job."""
+    """Return all files of one job."""
     jobs, found = store.folder / "jobs", list(_file("result", store.path(key)))
-    found += _file("job broken off", jobs / f"{key}.part")
+    found += _file("interrupted job", jobs / f"{key}.part")
     found += _file("failed job", jobs / f"{key}.failed")
     found += _file("kept job", jobs / key)
     return found + list(_file("damaged result", store.folder / "damaged" / store.path(key).name))
 
 
 def remove(store: Store, items: Iterable[StoreFile]) -> list[StoreFile]:
-    """Remove files; those that were written anew meanwhile, or are in use, stay.
+    """Remove files that were not rewritten since and are not in use; return them.
 
-    Those that were removed. Raises StorageUnavailable.
+    Raises StorageUnavailable.
     """
     removed = []
     for item in items:
         with storage_errors(item.path, "ask its owner"):
-            if item.what in ("lock", "job broken off"):
+            if item.what in ("lock", "interrupted job"):
                 gone = _remove_idle(store, item)
             else:
                 gone = _written_s(item.path) == item.written_s and _remove(item.path)
@@ -168,7 +177,7 @@ def remove(store: Store, items: Iterable[StoreFile]) -> list[StoreFile]:
 
 
 def check(store: Store) -> tuple[int, list[Path]]:
-    """Read every entry: how many are whole, and those that were damaged and set aside."""
+    """Read all entries; return the number of valid ones and the damaged ones, now set aside."""
     whole, damaged = 0, []
     for path in store.entries():
         if store.check(path.name.partition(".")[0]):
@@ -179,7 +188,7 @@ def check(store: Store) -> tuple[int, list[Path]]:
 
 
 def _remove_idle(store: Store, item: StoreFile) -> bool:
-    """Remove what belongs to a job unless it is under way by now."""
+    """Remove a file of a job unless the job is running by now."""
     with FileLock(store.folder / "locks" / item.path.name.partition(".")[0]) as lock:
         lock.path.parent.mkdir(exist_ok=True)
         if not lock.take():
@@ -190,7 +199,7 @@ def _remove_idle(store: Store, item: StoreFile) -> bool:
 
 
 def _idle(store: Store, key: str) -> bool:
-    """Whether nobody runs the job of a key."""
+    """Whether no process runs the job of a key."""
     path = store.folder / "locks" / key
     if not path.exists() and not path.with_name(f"{key}.lease").exists():
         return True
@@ -216,8 +225,8 @@ def _written_s(path: Path) -> float | None:
         return None
 
 
-def _file(what: What, path: Path, before_s: float | None = None) -> Iterator[StoreFile]:
-    """A file or folder, unless it was written after a time or is gone."""
+def _file(what: FileKind, path: Path, before_s: float | None = None) -> Iterator[StoreFile]:
+    """Yield a file or folder unless it is newer than a time or gone."""
     with suppress(OSError):
         status = path.lstat()
         if before_s is None or status.st_mtime <= before_s:
@@ -238,3 +247,32 @@ def _inside(folder: Path) -> list[Path]:
             return [Path(item.path) for item in items]
     except OSError:
         return []
+
+
+#: Prefix of folders for factors.
+PREFIX = "factors-"
+
+
+def factor_files(store: Store) -> FactorFiles:
+    """Create a folder in a store for the factors of one matrix. Raises StorageUnavailable."""
+    name = f"{PREFIX}{uuid.uuid4().hex}"
+    folder, lock = store.folder / "jobs" / f"{name}.part", FileLock(store.folder / "locks" / name)
+    with storage_errors(folder):
+        lock.take()  # free, because the name is new
+        folder.mkdir(parents=True)
+    files = FactorFiles(folder, partial(_remove_factors, folder, lock))
+    weakref.finalize(files, files.remove)  # at the process's end too
+    return files
+
+
+def remove_abandoned(store: Store) -> None:
+    """Remove the factors of dead processes. Raises StorageUnavailable."""
+    if any((store.folder / "jobs").glob(f"{PREFIX}*")):
+        found = other_files(store, 0.0)
+        remove(store, [item for item in found if item.path.name.startswith(PREFIX)])
+
+
+def _remove_factors(folder: Path, lock: FileLock) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    lock.path.unlink(missing_ok=True)
+    lock.release()

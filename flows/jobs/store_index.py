@@ -1,15 +1,14 @@
-"""An index of a store: what stands before its entries, so that nobody opens all of them for it.
+"""An index of a store's entries, so that listing or searching them does not open every file.
 
-    STORE/index/HOST-UID.sqlite    one a machine and user: SQLite does not hold over network disks
+    STORE/index/HOST-UID.sqlite    one per machine and user: SQLite is unsafe on network disks
 
-It is a cache and never the truth: whether the store has a key, and what an entry is, the entry
-itself says. A folder of entries is listed again when its change time is another than it was, or was
-too new to tell; an entry's head is read when it is first asked for. An index that is missing, of
-another layout, damaged, in use by another process or not ours to write is made anew, in memory
-where it cannot be on disk, and gives the same answers.
+The index is only a cache; the entries themselves are authoritative. A folder of entries is listed
+again if its change time differs or is too recent to be reliable; the head of an entry is read on
+first use. If the index is missing, has another layout, is damaged, locked or read-only, it is
+rebuilt, in memory if necessary, with the same answers.
 
-Entries that differ in parameter values alone share what was asked (`asked`), and have their values
-as numbers: a hundred thousand are compared with a job in a fraction of a second.
+Entries that differ only in parameter values share one row of the table `asked` and have their
+values as numbers, so that 100,000 of them are compared with a job in a fraction of a second.
 """
 
 from __future__ import annotations
@@ -35,13 +34,19 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.storage.files import machine_user
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
-from modetune.flows.jobs.explain import SAID_BY_NOTES, SHOWN, AskedJob, asked_of, told_differences
 from modetune.flows.jobs.job import JobNote
+from modetune.flows.jobs.job_difference import (
+    IN_NOTES,
+    LONGEST,
+    JobDescription,
+    job_of_holding,
+    list_differences,
+)
 
 logger = logging.getLogger(__name__)
 A = TypeVar("A")
 
-#: Grows whenever the tables or what is in them changes.
+#: To be increased when the tables or their contents change.
 LAYOUT = 1
 TABLES = """
 CREATE TABLE folders(name TEXT PRIMARY KEY, inode INTEGER, changed_ns INTEGER) WITHOUT ROWID;
@@ -52,17 +57,17 @@ CREATE INDEX by_folder ON entries(folder);
 CREATE INDEX by_time ON entries(written_ns);
 CREATE INDEX by_asked ON entries(asked);
 """
-#: `entries.asked` where the head was not read yet is null, and where it cannot be read this.
+#: `entries.asked` of an entry with an unreadable head; null before the head is read.
 UNREADABLE = 0
-#: A folder that changed so short a time ago may change again within one tick of its clock.
+#: A folder that changed more recently may change again within one tick of its clock.
 SETTLED_NS = 2_000_000_000
-#: How long another process is waited for before the index is made in memory.
+#: Seconds to wait for another process before the index is built in memory.
 PATIENCE_S = 0.5
-#: What an index whose content was damaged leads to.
+#: Errors caused by damaged content.
 DAMAGED = (sqlite3.Error, ValueError, TypeError, KeyError, OverflowError)
-#: SQLite's numbers have a sign; a file's need not.
+#: SQLite's integers are signed, those of a file system may be unsigned.
 LARGEST = 2**63 - 1
-#: Keys of the nearest entries; more than one in case some are gone.
+#: Number of nearest entries to return, in case some are gone.
 NEAREST = 5
 ENDING = f".{FORMAT}.h5"
 ENTRY = re.compile(rf"([0-9a-f]{{64}}){re.escape(ENDING)}")
@@ -73,8 +78,8 @@ Order = Literal["written_ns DESC", "written_ns", "size DESC"]
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
-    """Entries written before a time (nanoseconds since 1970), and of at least so many bytes."""
+class EntryFilter:
+    """Selects entries written before a time (nanoseconds since 1970) with a minimum size."""
 
     before_ns: int = LARGEST
     larger: int = 0
@@ -82,24 +87,24 @@ class Chosen:
 
 @dataclass(frozen=True, slots=True)
 class IndexedEntry:
-    """An entry as the index knows it; job: None where its head cannot be read."""
+    """An entry of the index; job is None if its head cannot be read."""
 
     key: str
     size: int
     written_s: float
     wall_s: float
-    job: AskedJob | None
+    job: JobDescription | None
 
 
-def ask_index(store: Store, question: Callable[[StoreIndex], A]) -> A:
-    """What a store's index answers to a question; never fails for the index's own sake."""
+def query_index(store: Store, question: Callable[[StoreIndex], A]) -> A:
+    """Return a question's answer from the index of a store; a broken index is no error."""
     path = store.folder / "index" / f"{machine_user()}.sqlite"
     with _locked(path) as ours:
         for _ in range(2 if ours else 0):
             try:
                 return _answer(f"file:{quote(str(path))}?nolock=1", store, question)
             except DAMAGED as error:
-                logger.info("%s is made anew: %s", path, error)
+                logger.info("rebuilding %s: %s", path, error)
                 for old in (path, Path(f"{path}-journal")):
                     with suppress(OSError):
                         old.unlink()
@@ -108,7 +113,7 @@ def ask_index(store: Store, question: Callable[[StoreIndex], A]) -> A:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[bool]:
-    """Whether the index on disk is this process's alone for now."""
+    """Lock the index on disk; yield whether that was possible."""
     lock, deadline = FileLock(path.with_suffix(".lock")), time.monotonic() + PATIENCE_S
     ours = False
     try:
@@ -117,7 +122,7 @@ def _locked(path: Path) -> Iterator[bool]:
             while not (ours := lock.take()) and time.monotonic() < deadline:
                 time.sleep(0.01)
     except (OSError, StorageUnavailable) as error:
-        logger.info("the index is made in memory: %s", error)
+        logger.info("building the index in memory: %s", error)
     try:
         yield ours
     finally:
@@ -126,7 +131,7 @@ def _locked(path: Path) -> Iterator[bool]:
 
 def _answer(place: str, store: Store, question: Callable[[StoreIndex], A]) -> A:
     with closing(sqlite3.connect(place, uri=True, isolation_level=None)) as database:
-        database.execute("PRAGMA synchronous = OFF")  # what a power cut spoils is made anew
+        database.execute("PRAGMA synchronous = OFF")  # after a power cut it is rebuilt
         index = StoreIndex(store, database)
         index.prepare()
         return question(index)
@@ -164,18 +169,18 @@ class StoreIndex:
                     ask("INSERT OR REPLACE INTO folders VALUES (?, ?, ?)", row)
 
     def newest(self, count: int) -> list[IndexedEntry]:
-        """So many of the newest entries, without those whose heads cannot be read."""
-        found = self.entries(Chosen(), count)
+        """Return the newest entries, at most `count`, without unreadable ones."""
+        found = self.entries(EntryFilter(), count)
         return [entry for entry in found if entry.job is not None]
 
     def entries(
-        self, chosen: Chosen, count: int = -1, order: Order = "written_ns DESC"
+        self, chosen: EntryFilter, count: int = -1, order: Order = "written_ns DESC"
     ) -> list[IndexedEntry]:
-        """So many of the chosen entries in an order; below zero: all of them."""
+        """Return at most `count` selected entries in an order; all if it is negative."""
         values = (chosen.before_ns, chosen.larger, count)
         keys = f"SELECT key FROM entries {CHOSEN} ORDER BY {order}, key LIMIT ?"
         self._read_heads(f"key IN ({keys})", values)
-        told: dict[int, AskedJob | None] = {UNREADABLE: None}
+        told: dict[int, JobDescription | None] = {UNREADABLE: None}
         found = []
         rows = self._database.execute(
             "SELECT key, size, written_ns, wall_s, asked, numbers FROM entries "
@@ -186,39 +191,39 @@ class StoreIndex:
             if asked not in told:
                 query = "SELECT told FROM asked WHERE id = ?"
                 ((text,),) = self._database.execute(query, (asked,)).fetchall()
-                told[asked] = _read_told(text)
+                told[asked] = _read_shared_part(text)
             job = told[asked]
             if job is not None:
                 job = replace(job, key=str(key), note=_with_values(job.note, numbers))
             found.append(IndexedEntry(str(key), int(size), written_ns / 1e9, float(wall_s), job))
         return found
 
-    def files(self, chosen: Chosen) -> list[tuple[str, int, float]]:
-        """Keys, sizes and times (seconds since 1970) of the chosen entries, the oldest first."""
+    def files(self, chosen: EntryFilter) -> list[tuple[str, int, float]]:
+        """Return key, size and time (seconds since 1970) of selected entries, oldest first."""
         rows = self._database.execute(
             f"SELECT key, size, written_ns FROM entries {CHOSEN} ORDER BY written_ns, key",
             (chosen.before_ns, chosen.larger),
         )
         return [(str(key), int(size), written_ns / 1e9) for key, size, written_ns in rows]
 
-    def sums(self) -> list[tuple[AskedJob | None, int, int, float]]:
-        """What entries that differ in values alone have in common; how many they are, their size
-        and what they took. None: heads that cannot be read."""
+    def sums(self) -> list[tuple[JobDescription | None, int, int, float]]:
+        """Return job, count, total size and total time of entries that differ only in values; the
+        job is None for unreadable entries."""
         self._read_heads("TRUE", ())
         rows = self._database.execute(
             "SELECT told, COUNT(*), SUM(size), SUM(wall_s) FROM entries "
             "LEFT JOIN asked ON asked.id = entries.asked GROUP BY entries.asked"
         ).fetchall()
         return [
-            (_read_told(told) if told else None, int(count), int(size), float(wall_s))
+            (_read_shared_part(told) if told else None, int(count), int(size), float(wall_s))
             for told, count, size, wall_s in rows
         ]
 
-    def nearest(self, job: AskedJob) -> list[str]:
-        """Keys of the entries nearest to a job, the nearest first.
+    def nearest(self, job: JobDescription) -> list[str]:
+        """Return the keys of the entries nearest to a job, the nearest first.
 
-        Nearest are those of the same solver and kind of analysis, then those with the fewest
-        differences, then those whose values are closest.
+        Entries of the same solver and kind of analysis come first, then those with the fewest
+        differences, then those with the closest values.
         """
         self._read_heads("TRUE", ())
         ask = self._database.execute
@@ -231,7 +236,7 @@ class StoreIndex:
         alike = []
         for place, (number, *_, told) in enumerate(kinds):
             if classes[place] == min(classes):
-                alike.append((_differing(job, _read_told(told)), number, json.loads(told)))
+                alike.append((_differing(job, _read_shared_part(told)), number, json.loads(told)))
         best: list[tuple[int, float, int, str]] = []
         for base, number, told in sorted(alike, key=lambda item: item[:2]):
             if len(best) == NEAREST and base > best[-1][0]:
@@ -241,11 +246,11 @@ class StoreIndex:
         return [key for *_, key in best]
 
     def _closest(
-        self, job: AskedJob, base: int, number: int, names: list[str] | None
+        self, job: JobDescription, base: int, number: int, names: list[str] | None
     ) -> list[tuple[int, float, int, str]]:
-        """Of entries that share what was asked: differences, distance, age and key of the best.
+        """Return differences, distance, age and key of the best entries of one `asked` row.
 
-        names: of the values; None where either side's values are not known.
+        names are those of the values, None if they are unknown on either side.
         """
         keys, written, values = self._sharing(number)
         count, distance = np.full(len(keys), base), np.full(len(keys), np.inf)
@@ -256,7 +261,7 @@ class StoreIndex:
             values = values.reshape(len(keys), len(names))
             count = count + (values != wanted).sum(axis=1) + sum(v != 1.0 for v in absent)
             distance = np.abs(values - wanted).sum(axis=1) + sum(abs(v - 1.0) for v in absent)
-        # Jobs without a word of difference differ all the same: their keys do.
+        # Even without a visible difference the jobs differ, because their keys do.
         count = np.maximum(count, 1)
         best = np.lexsort((-written, distance, count))[: NEAREST + 1]
         return [
@@ -266,7 +271,7 @@ class StoreIndex:
         ]
 
     def _sharing(self, asked: int) -> tuple[list[str], Integers, Floats]:
-        """Keys, age and values of the entries that share what was asked."""
+        """Keys, times and values of the entries of one `asked` row."""
         if asked not in self._alike:
             query = "SELECT key, written_ns, numbers FROM entries WHERE asked = ?"
             rows = self._database.execute(query, (asked,)).fetchall()
@@ -276,7 +281,7 @@ class StoreIndex:
         return self._alike[asked]
 
     def _list(self, folder: str) -> None:
-        """Take over which entries a folder has."""
+        """Update the list of entries in a folder."""
         ask = self._database.execute
         known = dict(ask("SELECT key, inode FROM entries WHERE folder = ?", (folder,)).fetchall())
         found: dict[str, tuple[int, ...]] = {}
@@ -284,9 +289,9 @@ class StoreIndex:
             for file in files:
                 name, inode = file.name, file.inode() & LARGEST
                 if name.endswith(ENDING) and known.get(name[: -len(ENDING)]) == inode:
-                    found[name[: -len(ENDING)]] = ()  # the same file: a new one has its own number
+                    found[name[: -len(ENDING)]] = ()  # same inode, same file
                 elif match := ENTRY.fullmatch(name):
-                    with suppress(OSError):  # gone, or not ours to see
+                    with suppress(OSError):  # gone or not readable
                         status = file.stat()
                         found[match[1]] = (inode, status.st_size, status.st_mtime_ns)
         self._database.executemany(
@@ -298,7 +303,7 @@ class StoreIndex:
         )
 
     def _read_heads(self, chosen: str, values: tuple[int, ...]) -> None:
-        """Read what stands before the chosen entries, where that was not done yet."""
+        """Read the heads of the selected entries that were not read before."""
         query = f"SELECT key FROM entries WHERE asked IS NULL AND {chosen}"
         keys = self._database.execute(query, values).fetchall()
         if not keys:
@@ -311,12 +316,12 @@ class StoreIndex:
                 )
 
     def _head(self, key: str) -> tuple[int, float, bytes]:
-        """What was asked, what it took, and the values, of an entry."""
+        """Row of `asked`, time and values of an entry."""
         holding = self.store.holding(key)
         if holding is None:
             return UNREADABLE, 0.0, b""
-        job = asked_of(holding)
-        told, ask = _told(job), self._database.execute
+        job = job_of_holding(holding)
+        told, ask = _shared_part(job), self._database.execute
         if told not in self._numbers:
             row = (job.solver, job.kind, told)
             ask("INSERT OR IGNORE INTO asked(solver, kind, told) VALUES (?, ?, ?)", row)
@@ -334,7 +339,6 @@ class StoreIndex:
 
 
 def _folders(store: Path) -> dict[str, os.stat_result]:
-    """The folders of entries as they are now, by name."""
     found = {}
     with suppress(OSError), os.scandir(store) as items:
         for item in items:
@@ -344,8 +348,8 @@ def _folders(store: Path) -> dict[str, os.stat_result]:
     return found
 
 
-def _told(job: AskedJob) -> str:
-    """What entries that differ in values alone have in common, as JSON."""
+def _shared_part(job: JobDescription) -> str:
+    """What entries that differ only in values have in common, as JSON."""
     note = None
     if job.note is not None:
         note = {name: value for name, value in asdict(job.note).items() if name != "values"}
@@ -357,7 +361,7 @@ def _told(job: AskedJob) -> str:
             "asked": [
                 (name, _short(value))
                 for name, value in job.asked
-                if note is None or name not in SAID_BY_NOTES or name == "solver"
+                if note is None or name not in IN_NOTES or name == "solver"
             ],
             "note": note,
             "names": [name for name, _ in job.note.values] if job.note else [],
@@ -366,7 +370,7 @@ def _told(job: AskedJob) -> str:
     )
 
 
-def _read_told(text: str) -> AskedJob:
+def _read_shared_part(text: str) -> JobDescription:
     told: Any = json.loads(text)
     note = None
     if told["note"] is not None:
@@ -374,7 +378,7 @@ def _read_told(text: str) -> AskedJob:
         values = tuple((name, 1.0) for name in told["names"])
         note = JobNote(**told["note"], columns=columns, values=values)
     asked = tuple((str(name), str(value)) for name, value in told["asked"])
-    return AskedJob("", told["solver"], told["version"], told["kind"], asked, note)
+    return JobDescription("", told["solver"], told["version"], told["kind"], asked, note)
 
 
 def _with_values(note: JobNote | None, numbers: bytes) -> JobNote | None:
@@ -384,14 +388,14 @@ def _with_values(note: JobNote | None, numbers: bytes) -> JobNote | None:
     return replace(note, values=tuple(zip(names, values, strict=True)))
 
 
-def _differing(job: AskedJob, other: AskedJob) -> int:
-    """In how much two jobs differ besides parameter values."""
+def _differing(job: JobDescription, other: JobDescription) -> int:
+    """Number of differences between two jobs other than parameter values."""
     if job.note is not None and other.note is not None:
         other = replace(other, note=replace(other.note, values=job.note.values))
     asked = tuple((name, _short(value)) for name, value in job.asked)
-    return len(told_differences(replace(job, asked=asked), other))
+    return len(list_differences(replace(job, asked=asked), other))
 
 
 def _short(value: str) -> str:
-    """A part of a key, or what stands for a long one."""
-    return value if len(value) <= SHOWN else f"sha256 {sha256(value.encode()).hexdigest()}"
+    """A part of a key, or the digest of a long one."""
+    return value if len(value) <= LONGEST else f"sha256 {sha256(value.encode()).hexdigest()}"

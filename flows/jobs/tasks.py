@@ -1,12 +1,11 @@
-"""The tasks of a study: what carries them out, who watches, and which follows from which.
+"""The tasks of a study: their runner, their display and their dependencies.
 
-Every piece of work of a run is one task of one runner. `Tasks` belongs to a job engine and to one
-chain of work, an update for example; updates in parallel have one each. It knows which task
-followed which, so that the run's graph shows modal -> sensitivity -> step -> next modal. These
-edges are a picture: what a task needs it takes from the store.
+All work of a run consists of tasks of one runner. Each chain of work, such as one of several
+parallel updates, has its own `Tasks`, which records the predecessors of each task, so that the
+graph of the run shows modal -> sensitivity -> step -> next modal. The graph is only for display:
+tasks read their inputs from the store.
 
-The runner of a whole study is entered once (`running_with`), and all engines that are made inside
-use it. Without one an engine has a thread pool of its own.
+`use_run` sets the runner for all engines of a study. Without it each engine has a thread pool.
 """
 
 from __future__ import annotations
@@ -20,20 +19,20 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from modetune.core.errors import ModetuneError, SolverCancelled
-from modetune.flows.jobs.watching import Display, Ended, Solution, title
-from modetune.flows.jobs.work import Computation, Piece, Runner, Task, TaskEnd, task_end
+from modetune.flows.jobs.progress import Display, Ended, Solution, title
+from modetune.flows.jobs.runner import Computation, Runner, Task, TaskRun, TaskState, task_state
 
 T = TypeVar("T")
 
-#: Tasks upstream that one task names: graphs draw an edge for each, and joins multiply.
+#: Maximum number of predecessors of a task: each is an edge of the graph.
 UPSTREAM = 20
 
 
 @dataclass(eq=False)
 class StudyRun:
-    """A study under way: its runner, and what ends its solvers.
+    """The running study: its runner and the cancellation of its solvers.
 
-    licences: whether a Prefect server counts licences for all machines.
+    licences is true if a Prefect server counts licences for all machines.
     """
 
     runner: Runner
@@ -42,7 +41,7 @@ class StudyRun:
     _cancelled: bool = False
 
     def cancellation(self) -> threading.Event:
-        """What the jobs of a new engine look at; set when the study is cancelled."""
+        """Return an event for a new engine, set when the study is cancelled."""
         event = threading.Event()
         self._ends.append(event)
         if self._cancelled:
@@ -50,7 +49,7 @@ class StudyRun:
         return event
 
     def cancel(self) -> None:
-        """End all solvers of the study; jobs that begin later end at once."""
+        """Stop all solvers of the study; later jobs are cancelled at once."""
         self._cancelled = True
         for event in self._ends:
             event.set()
@@ -60,13 +59,13 @@ _run: ContextVar[StudyRun | None] = ContextVar("run", default=None)
 
 
 def study_run() -> StudyRun | None:
-    """The study under way in this context."""
+    """Return the running study of this context, None without one."""
     return _run.get()
 
 
 @contextmanager
-def running_with(run: StudyRun) -> Iterator[None]:
-    """Engines that are made in here have this run's runner."""
+def use_run(run: StudyRun) -> Iterator[None]:
+    """Give engines created in this context the runner of `run`."""
     token = _run.set(run)
     try:
         yield
@@ -76,37 +75,34 @@ def running_with(run: StudyRun) -> Iterator[None]:
 
 @dataclass(eq=False)
 class Tasks:
-    """The tasks of one chain of work.
-
-    part: its name, where several go in parallel.
-    """
+    """The tasks of one chain of work; part is its name if several run in parallel."""
 
     runner: Runner
     watcher: Display | None = None
     part: str = ""
-    _root: list[Task] = field(default_factory=list)
-    _modal: deque[Task] = field(default_factory=lambda: deque(maxlen=UPSTREAM))
-    _sensitivities: deque[Task] = field(default_factory=lambda: deque(maxlen=UPSTREAM))
-    _step: list[Task] = field(default_factory=list)
+    _root: list[TaskRun] = field(default_factory=list)
+    _modal: deque[TaskRun] = field(default_factory=lambda: deque(maxlen=UPSTREAM))
+    _sensitivities: deque[TaskRun] = field(default_factory=lambda: deque(maxlen=UPSTREAM))
+    _step: list[TaskRun] = field(default_factory=list)
 
     def of_part(self, part: str) -> Tasks:
-        """Tasks of one chain among several in parallel, under its name; of the whole without."""
+        """Return new tasks for one of several parallel chains; `self` without a name."""
         return Tasks(self.runner, self.watcher, part) if part else self
 
-    def opens(self, pieces: int) -> None:
-        """So many pieces of work come next, side by side; before a step they follow from the first
-        task of all."""
+    def opens(self, tasks: int) -> None:
+        """Announce parallel tasks; before the first step they follow from the first task of all."""
         if self.watcher is not None:
-            self.watcher.asked(pieces)
+            self.watcher.submitted(tasks)
         if not self._root and self._modal:
             self._root = [self._modal[0]]
 
     def begin(
-        self, iteration: str, name: str, piece: Callable[[Callable[[], None]], Piece]
-    ) -> Task:
-        """Begin a piece of work. piece: makes it; it gets what to call when the first try begins.
+        self, iteration: str, name: str, make_task: Callable[[Callable[[], None]], Task]
+    ) -> TaskRun:
+        """Submit a task.
 
-        Tasks of sensitivities follow from modes, all others from the last step.
+        make_task gets a function to call before the first attempt. Sensitivities follow from
+        modes, all other tasks from the last step.
         """
         ended: list[Callable[[Ended], None]] = []
 
@@ -114,7 +110,7 @@ class Tasks:
             if self.watcher is not None:
                 ended.append(self.watcher.began(self._titled(iteration), name))
 
-        made = piece(begun)
+        made = make_task(begun)
         if self.runner.remote:
             begun()
         after = self._modal if _is_derivative(name) else self._step or self._root
@@ -129,24 +125,24 @@ class Tasks:
         return task
 
     def compute(self, name: str, work: Callable[[], tuple[T, Sequence[Solution]]]) -> T:
-        """Compute in this thread, as a task if it has a name and is done under a title (`doing`).
+        """Compute in this thread, shown as a task if it has a name and a title (`doing`).
 
-        work: gives the value and the outcomes that the task shows. Raises what it raises.
+        work returns the value and the outcomes to show. Raises what it raises.
         """
         iteration = title()
         if not (iteration and name):
             return work()[0]
         call = None if self.watcher is None else self.watcher.began(self._titled(iteration), name)
-        shown: Ended = SolverCancelled("broken off")
+        shown: Ended = SolverCancelled("interrupted")
 
-        def compute() -> tuple[T, TaskEnd]:
+        def compute() -> tuple[T, TaskState]:
             nonlocal shown
             try:
                 value, shown = work()
             except ModetuneError as error:
                 shown = error
                 raise
-            return value, task_end(shown)
+            return value, task_state(shown)
 
         made = Computation(compute)
         try:
@@ -159,14 +155,14 @@ class Tasks:
         return made.value
 
     def step(self, iteration: str, work: Callable[[], tuple[T, str]]) -> T:
-        """Compute a step in this thread, from the newest modes and sensitivities.
+        """Compute a step in this thread as successor of the newest modes and sensitivities.
 
-        work: gives the step, and a sentence that the task shows.
+        work returns the step and a sentence for the task's state.
         """
 
-        def compute() -> tuple[T, TaskEnd]:
+        def compute() -> tuple[T, TaskState]:
             value, sentence = work()
-            return value, TaskEnd("COMPLETED", "Completed", sentence)
+            return value, TaskState("COMPLETED", "Completed", sentence)
 
         made = Computation(compute)
         after = [*list(self._modal)[-1:], *self._sensitivities][:UPSTREAM]
@@ -177,13 +173,13 @@ class Tasks:
         return made.value
 
     def note(self, iteration: str, names: Sequence[str], state: str, reason: str) -> None:
-        """Show work that did not have to run, or was not tried."""
+        """Show work that was skipped or not attempted."""
         kind = "CANCELLED" if state == "Not tried" else "COMPLETED"
         for name in names:
-            end = TaskEnd(kind, state, reason)
+            end = TaskState(kind, state, reason)
             self.runner.note(self._named(iteration, name), end, list(self._modal))
 
-    def _keep(self, name: str, task: Task) -> None:
+    def _keep(self, name: str, task: TaskRun) -> None:
         (self._sensitivities if _is_derivative(name) else self._modal).append(task)
 
     def _titled(self, iteration: str) -> str:
@@ -194,15 +190,14 @@ class Tasks:
 
 
 def _is_derivative(name: str) -> bool:
-    """Whether a task of this name gives derivatives of modes; configurations stand in front."""
+    """Whether the task computes derivatives; the name may begin with that of a configuration."""
     return "sensitivit" in name
 
 
-def _ended(task: Task) -> Ended:
-    """The end of a task, for a display."""
+def _ended(task: TaskRun) -> Ended:
     try:
         return task.result().jobs
     except ModetuneError as error:
         return error
-    except BaseException:  # cancelled before it began, or broken off
-        return SolverCancelled("broken off")
+    except BaseException:  # cancelled before it began, or interrupted
+        return SolverCancelled("interrupted")

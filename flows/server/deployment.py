@@ -21,7 +21,7 @@ from prefect.deployments.runner import RunnerDeployment
 from prefect.types.entrypoint import EntrypointType
 
 from modetune.core.errors import ModetuneError
-from modetune.flows.jobs.silent_runs import TAG
+from modetune.flows.jobs.heartbeats import TAG
 from modetune.flows.server.flows import find_flow
 from modetune.flows.server.permission import check_settings
 from modetune.flows.server.worker import make_pool

@@ -36,12 +36,12 @@ from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
 from modetune.core.errors import CampaignRunning, ModetuneError
 from modetune.flows.campaign.campaign import Campaign, cores
+from modetune.flows.jobs.heartbeats import TAG
 from modetune.flows.jobs.prefect_runner import dask_task_runner, task_runner
 from modetune.flows.jobs.prefect_server import configured_server
+from modetune.flows.jobs.runner import Runner
 from modetune.flows.jobs.server_client import ServerClient
-from modetune.flows.jobs.silent_runs import TAG
-from modetune.flows.jobs.tasks import StudyRun, running_with
-from modetune.flows.jobs.work import Runner
+from modetune.flows.jobs.tasks import StudyRun, use_run
 from modetune.flows.server.artifacts import files_artifact, result_artifacts, table_artifact
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study, shell_command
@@ -246,7 +246,7 @@ def _carried(
             progress.tolerances = on.campaign.tolerances
         runner = stack.enter_context(_runner(on.loaded))
         runs.append(StudyRun(runner, licences=configured_server() is not None))
-        stack.enter_context(running_with(runs[0]))
+        stack.enter_context(use_run(runs[0]))
         end = handed.end = study.call(on, parameters)
     for artifact in _artifacts(study, on.name, end):
         page.artifact(artifact)

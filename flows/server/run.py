@@ -19,8 +19,8 @@ from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import ModetuneError
 from modetune.flows.campaign.campaign import Campaign, campaign_form, cores
 from modetune.flows.campaign.schema import ModelFile
-from modetune.flows.jobs.tasks import StudyRun, running_with
-from modetune.flows.jobs.work import PoolRunner, Runner
+from modetune.flows.jobs.runner import PoolRunner, Runner
+from modetune.flows.jobs.tasks import StudyRun, use_run
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study, StudyContext
 from modetune.flows.updating.forecast import Progress
@@ -120,7 +120,7 @@ def _used(server: SharedServer | None) -> Iterator[None]:
 
 def _on_pool(study: Study, parameters: Mapping[str, Any], on: StudyContext) -> StudyResult:
     """The study without Prefect: on threads, or on the campaign's Dask cluster."""
-    with _plain_runner(on.loaded) as runner, running_with(StudyRun(runner)):
+    with _plain_runner(on.loaded) as runner, use_run(StudyRun(runner)):
         return study.call(on, parameters)
 
 

@@ -33,8 +33,8 @@ from prefect.settings import PREFECT_CLIENT_MAX_RETRIES, temporary_settings
 
 from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.updating.criteria import Tolerances
+from modetune.flows.jobs.heartbeats import BEAT_S, send_heartbeat
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
-from modetune.flows.jobs.silent_runs import BEAT_S, send_heartbeat
 from modetune.flows.server.artifacts import Artifact, progress_artifacts
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.forecast import Progress

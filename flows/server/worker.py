@@ -43,9 +43,9 @@ from prefect.settings import (
 from prefect.workers.base import BaseJobConfiguration, BaseWorker, BaseWorkerResult
 
 from modetune.core.errors import ModetuneError
+from modetune.flows.jobs.heartbeats import HeartbeatWatch, send_heartbeat
 from modetune.flows.jobs.prefect_server import SharedServer, shared_server
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
-from modetune.flows.jobs.silent_runs import SilentRuns, send_heartbeat
 
 logger = logging.getLogger(__name__)
 
@@ -111,7 +111,7 @@ class CampaignWorker(BaseWorker[FixedConfiguration, Any, Ended]):
         self.without_login = bool(os.environ.get(WITHOUT_LOGIN_VARIABLE))
         self.server: SharedServer | None = None
         self._runs: dict[str, tuple[anyio.abc.Process, float, UUID]] = {}
-        self._watch = SilentRuns()
+        self._watch = HeartbeatWatch()
         self._silent = False
 
     @classmethod
@@ -150,7 +150,7 @@ class CampaignWorker(BaseWorker[FixedConfiguration, Any, Ended]):
 
     async def _gone(self, error: Exception) -> None:
         """Warn once; start the shared server again, which keeps its address."""
-        self._watch = SilentRuns()  # a server that was gone received no heartbeat either
+        self._watch = HeartbeatWatch()  # a server that was gone received no heartbeat either
         if not self._silent:
             logger.warning("%s; the worker continues to try", error)
         self._silent = True

@@ -22,7 +22,7 @@ from modetune.core.parameters import Values
 from modetune.core.updating.observation import Observation, sensor_observation
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.study import is_file
 
@@ -98,7 +98,7 @@ def full_model(campaign: Campaign, values: Values) -> FullModel:
             "matrices` with a file that names matrices (docs/models.md)"
         )
     engine = job_engine(campaign)
-    (outcome,) = solved(engine, [Job(values, MatrixAnalysis())], "matrices")
+    (outcome,) = solve_jobs(engine, [Job(values, MatrixAnalysis())], "matrices")
     return FullModel(campaign, outcome.result(MatrixResult), engine.room)
 
 

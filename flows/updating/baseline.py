@@ -114,7 +114,7 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
     except LostMode as error:
         return BaselineCheck((), f"a mode is lost: {error}", (), evaluator.runs)
     for case in campaign.cases:
-        engine_of(engine, campaign, case).keep_text()
+        engine_of(engine, campaign, case).save_text()
     found = _compared(_agreement(campaign, evaluation), baseline, band, evaluator.runs)
     return found if found.within else _hinted(found, path, state, band)
 

@@ -16,11 +16,18 @@ from modetune.core.errors import NotComputed, NotStored
 from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.deck_texts import Text, deck_text, kept_text
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
-from modetune.flows.jobs.explain import AskedJob, Nearest, Texts, asked_by_note
 from modetune.flows.jobs.job import NOMINAL, Job
+from modetune.flows.jobs.job_difference import (
+    JobDescription,
+    Nearest,
+    Text,
+    Texts,
+    deck_text,
+    job_of_note,
+    load_text,
+)
 from modetune.flows.jobs.lookup import Explanation, nearest
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
@@ -39,7 +46,7 @@ class PlannedJob:
     name: str
     job: Job
     key: str
-    asked: AskedJob | None
+    asked: JobDescription | None
     nearest: Nearest | None = None
 
     @property
@@ -100,7 +107,7 @@ def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> Plann
     key = engine.key(job)
     if key in engine.store:
         return PlannedJob(iteration, name, job, key, None)
-    asked = asked_by_note(key, engine.note(job), engine.plans.plan(job).asked)
+    asked = job_of_note(key, engine.note(job), engine.plans.plan(job).asked)
     return PlannedJob(iteration, name, job, key, asked)
 
 
@@ -151,7 +158,7 @@ def _texts(engine: JobEngine) -> Texts:
             with suppress(OSError):  # no room for a temporary copy: the explanation is shorter
                 known[digest] = deck_text(engine.plans.plan(NOMINAL).rendered)
         if digest not in known:
-            known[digest] = kept_text(engine.store, digest)
+            known[digest] = load_text(engine.store, digest)
         return known[digest]
 
     return text

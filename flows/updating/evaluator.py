@@ -42,8 +42,8 @@ from modetune.flows.jobs.campaign_engine import engine_of
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Execution, Work
 from modetune.flows.jobs.job import Job, analysis_kind
-from modetune.flows.jobs.watching import doing
-from modetune.flows.jobs.work import meanwhile
+from modetune.flows.jobs.progress import doing
+from modetune.flows.jobs.runner import in_background
 from modetune.flows.updating.evaluation import (
     CaseEvaluation,
     Evaluation,
@@ -158,8 +158,8 @@ class Evaluator:
     @property
     def runs(self) -> RunCounts:
         """Solver runs so far, and their cost."""
-        ledger = self.execution.engine.ledger
-        return replace(self._runs, core_s=ledger.core_s, licence_s=ledger.licence_s)
+        costs = self.execution.engine.costs
+        return replace(self._runs, core_s=costs.core_s, licence_s=costs.licence_s)
 
     @property
     def cheap(self) -> bool:
@@ -666,7 +666,7 @@ class Evaluator:
         if not isinstance(there, Evaluation):
             logger.info("the reduced model cannot be confirmed: %s", there)
             return False
-        self._confirming = there, meanwhile("confirm", lambda: self.confirmed(0, there))
+        self._confirming = there, in_background("confirm", lambda: self.confirmed(0, there))
         return True
 
     def _range_agrees(self, there: Evaluation, confirmed: Evaluation | None) -> bool:
@@ -747,7 +747,7 @@ class Evaluator:
 
     def _begun(self, title: str, work: Work, state: CaseState) -> Callable[[], JobOutcome]:
         """Begin a job; return a function that waits for its end and uses the time until then."""
-        job = meanwhile("confirm", lambda: self.carry_out(title, [work], state))
+        job = in_background("confirm", lambda: self.carry_out(title, [work], state))
 
         def wait() -> JobOutcome:
             if not job.done():

@@ -19,8 +19,8 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job, analysis_kind
-from modetune.flows.jobs.job_prices import NEWEST, Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import CORES
+from modetune.flows.jobs.lookup import NEWEST, MedianCost, job_costs, parallel_time
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluator import evaluator_of
 
@@ -127,7 +127,7 @@ class Forecaster(Progress):
         first = _jobs(evaluator.planned(start, alone=most == 0))
         self._last = _jobs(evaluator.confirming(elsewhere if most else start))
         self._digest = engine.plans.model_digest()
-        self._prices: dict[str, Price] = {}
+        self._prices: dict[str, MedianCost] = {}
         self._missing = [job for job in first if engine.key(job) not in engine.store]
         self._further = [job for job in _jobs(evaluator.planned(elsewhere)) if job not in first]
         self.first = self._forecast(self._missing, 0)
@@ -142,7 +142,7 @@ class Forecaster(Progress):
 
     def _forecast(self, coming: Sequence[Job], number: int) -> Forecast:
         newest = NEWEST_LATER if self._prices else NEWEST
-        self._prices |= job_prices(self._engine, self._digest, newest)
+        self._prices |= job_costs(self._engine, self._digest, newest)
         price = job_cost(self._engine, self._prices, self._campaign.parallel)
         return Forecast(
             coming=price(coming),
@@ -161,7 +161,7 @@ def _jobs(works: Sequence[Work]) -> list[Job]:
 
 
 def job_cost(
-    engine: JobEngine, prices: Mapping[str, Price], parallel: int
+    engine: JobEngine, prices: Mapping[str, MedianCost], parallel: int
 ) -> Callable[[Sequence[Job]], Cost]:
     """Return a function that prices jobs, this many in parallel."""
     licences = sum(limit.taken for limit in engine.limits if limit.name != CORES)
@@ -174,7 +174,7 @@ def job_cost(
             unknown=len(found) - len(known),
             core_s=sum(price.core_s for price in known),
             licence_s=licences * sum(price.wall_s for price in known),
-            wall_s=side_by_side([price.wall_s for price in known], parallel),
+            wall_s=parallel_time([price.wall_s for price in known], parallel),
         )
 
     return cost

@@ -36,7 +36,7 @@ from modetune.core.updating.criteria import slope
 from modetune.core.updating.parameter_steps import BELIEVED, Step, TrustRegion
 from modetune.core.updating.sensitivity import broyden_update
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.watching import doing
+from modetune.flows.jobs.progress import doing
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, REDUCED, CaseState

@@ -47,7 +47,7 @@ from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.job_prices import job_prices, side_by_side
+from modetune.flows.jobs.lookup import job_costs, parallel_time
 from modetune.flows.updating.evaluation import CaseEvaluation, Point, compare
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.sensitivities import (
@@ -417,15 +417,15 @@ def _further_runs(campaign: Campaign, own: BySolver) -> int:
 
 def _forecast(campaign: Campaign, own: BySolver, demand: Demand, extra: int) -> ModesForecast:
     engine = own.source.engine
-    prices = job_prices(engine, engine.plans.model_digest())
+    prices = job_costs(engine, engine.plans.model_digest())
     modal, parallel = prices.get("modal"), campaign.parallel
     elements = campaign.case.solver.deck.summary.n_elements
     run_s = HANDLED_S + (modal.wall_s if modal else RUN_S + ELEMENT_S * elements)
     job_s = HANDLED_S + prices["matrices"].wall_s if "matrices" in prices else JOB * run_s
     jobs = len(own.source.jobs(campaign.start, range(len(campaign.parameters))))
-    jobs_s = side_by_side([job_s] * jobs, parallel)
-    step_s = run_s + side_by_side([run_s] * extra, parallel)
-    solver_s = demand.steps * step_s + side_by_side([run_s] * demand.sets, parallel)
+    jobs_s = parallel_time([job_s] * jobs, parallel)
+    step_s = run_s + parallel_time([run_s] * extra, parallel)
+    solver_s = demand.steps * step_s + parallel_time([run_s] * demand.sets, parallel)
     derived = "semi_analytic" in own.methods  # from modes of the matrices, once more a set
     if derived or demand.matrices:
         solver_s += START_S + jobs_s + (demand.steps if derived else 1) * FIRST * run_s

@@ -22,7 +22,7 @@ from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
 from modetune.flows.campaign.test import pairing_nodes
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.jobs.job import Job
 from modetune.flows.updating.mode_source import campaign_analysis
 
@@ -44,7 +44,7 @@ def settled(campaign: Campaign) -> Campaign:
         found, said = case, ""
         if may_choose(case):
             own = campaign.alone(case)
-            (outcome,) = solved(job_engine(own), [modal_job(own)])
+            (outcome,) = solve_jobs(job_engine(own), [modal_job(own)])
             found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
         problems += [

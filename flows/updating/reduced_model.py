@@ -34,7 +34,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.watching import doing
+from modetune.flows.jobs.progress import doing
 from modetune.flows.updating.evaluation import CaseEvaluation, Point
 from modetune.flows.updating.matrices import LARGE, MatrixSource, return_freed_memory
 from modetune.flows.updating.mode_source import (

@@ -466,7 +466,7 @@ def _update(
         record = Updating(campaign, evaluator, forecaster or progress, keep).run()
     logger.info("%s: %s", record.status, record.reason)
     for case in campaign.cases:
-        engine_of(engine, campaign, case).keep_text()
+        engine_of(engine, campaign, case).save_text()
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
@@ -508,8 +508,8 @@ def update_from_starts(
         counted = reduce(
             RunCounts.plus, (end.record.runs for end in ends if end.record), RunCounts()
         )
-        ledger = engine.ledger
-        spent = replace(counted, core_s=ledger.core_s, licence_s=ledger.licence_s)
+        costs = engine.costs
+        spent = replace(counted, core_s=costs.core_s, licence_s=costs.licence_s)
     for earlier in (folder / "starts").glob("*.h5"):
         earlier.unlink()  # of a run with more starts, or others
     for number, end in enumerate(ends):

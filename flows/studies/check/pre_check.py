@@ -23,7 +23,7 @@ from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.model import (
@@ -104,7 +104,7 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
         campaign.solver_version()
         engine = job_engine(campaign)
         if may_choose(campaign.case):
-            (outcome,) = solved(engine, [modal_job(campaign)])
+            (outcome,) = solve_jobs(engine, [modal_job(campaign)])
             runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
             posed = by_shapes(campaign.case, outcome.result(ModalResult))
             campaign, said = _posed(campaign, posed)
@@ -120,7 +120,7 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     except SolverError as error:
         told = MODEL.wrong(f"the solver gave no modes: {error}")
         return PreCheckReport((*static, told), failure=error)
-    engine.keep_text()
+    engine.save_text()
     findings = (*report.findings, *memory)
     return replace(report, findings=findings, runs=runs.plus(evaluator.runs))
 

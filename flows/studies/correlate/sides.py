@@ -29,7 +29,7 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.sketch import YAML, is_deck, open_model
 from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.jobs.job import Job
 from modetune.flows.studies.correlate.correlation import (
     Correlation,
@@ -238,7 +238,7 @@ def _model(
     analysis = campaign_analysis(campaign)
     if nodes is not None:
         analysis = ModalAnalysis(analysis.n_modes, nodes)
-    (outcome,) = solved(job_engine(campaign), [Job(values, analysis)])
+    (outcome,) = solve_jobs(job_engine(campaign), [Job(values, analysis)])
     result = outcome.result(ModalResult)
     return Model(campaign, values, result.elastic)
 

@@ -47,7 +47,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
 from modetune.flows.campaign.units import METRES
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.chart import PARAMETER_COLOURS, Axis, Bars, Chart, Panel, names_of
 from modetune.flows.studies.expand.request import ExpansionMethod
@@ -226,7 +226,9 @@ def _serep(test: _Test) -> ExpandedShapes:
     case = test.campaign.case
     nodes = tuple(sorted(case.solver.deck.summary.node_ids))
     wanted = max(case.n_modes, RIGID_MODES + (test.n_modes or 0))
-    (outcome,) = solved(job_engine(test.campaign), [Job(test.values, ModalAnalysis(wanted, nodes))])
+    (outcome,) = solve_jobs(
+        job_engine(test.campaign), [Job(test.values, ModalAnalysis(wanted, nodes))]
+    )
     elastic = outcome.result(ModalResult).elastic
     seen = np.asarray(case.sensors.matrix(elastic.nodes, elastic.components) @ elastic.mode_shapes)
     most = min(elastic.n_modes, seen.shape[0] - max(map(len, test.parts)))

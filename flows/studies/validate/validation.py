@@ -207,7 +207,7 @@ def _validated(
         runs = whole.runs
         for _, counted in done:
             runs = runs.plus(replace(counted, core_s=0.0, licence_s=0.0))
-        runs = replace(runs, core_s=engine.ledger.core_s, licence_s=engine.ledger.licence_s)
+        runs = replace(runs, core_s=engine.costs.core_s, licence_s=engine.costs.licence_s)
     return Validation(
         campaign.name,
         campaign.parameters.names,

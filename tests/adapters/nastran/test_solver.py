@@ -61,8 +61,8 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job, Plans
 from modetune.flows.jobs.limits import MachineLimits
 from modetune.flows.jobs.policy import Policy
+from modetune.flows.jobs.runner import Costs, PoolRunner
 from modetune.flows.jobs.tasks import Tasks
-from modetune.flows.jobs.work import Ledger, PoolRunner
 
 STIFFNESS, MASS, MASSES = 1000.0, 2.0e-3, 5
 WTMASS = 0.001
@@ -161,7 +161,7 @@ class Site:
             cancelled=threading.Event(),
             counter=MachineLimits(self.folder / "limits"),
             limits=(),
-            ledger=Ledger(),
+            costs=Costs(),
             tasks=Tasks(PoolRunner(1)),
         )
 

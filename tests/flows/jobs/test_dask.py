@@ -30,9 +30,9 @@ from modetune.flows.campaign.site import DaskSection
 from modetune.flows.jobs import dask_cluster, execution
 from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result, workers_apart
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.work import Piece, tried
+from modetune.flows.jobs.runner import Task, retry
 from modetune.flows.updating.update import update_campaign
 from tests.eventually import eventually
 
@@ -230,7 +230,7 @@ def test_workers_that_die_with_a_job_end_it_with_a_sentence() -> None:
     def result() -> Any:
         raise KilledWorker("gone")
 
-    with pytest.raises(SolverCrashed, match="workers that ran this job died"):
+    with pytest.raises(SolverCrashed, match="worker running this job died"):
         dask_result(result, type("Future", (), {"status": "error"}))
 
 
@@ -241,7 +241,7 @@ def test_stopping_a_campaign_ends_the_solvers_of_its_workers(scripted: Any, benc
 
     def solve(k1: float) -> None:
         try:
-            solved(engine, [modal(k1)])
+            solve_jobs(engine, [modal(k1)])
         except SolverCancelled as error:
             ended.append(error)
 
@@ -284,17 +284,17 @@ def test_an_error_of_a_solver_comes_back_as_itself(scripted: Any, bench: Any) ->
         solving_engine(scripted()) as engine,
         pytest.raises(SolverRejected, match="refused its input"),
     ):
-        solved(engine, [modal()])
+        solve_jobs(engine, [modal()])
 
 
-def travelled(campaign: Campaign, job: Job, key: str = "") -> Piece:
+def travelled(campaign: Campaign, job: Job, key: str = "") -> Task:
     """A job's piece of work as it arrives in another process."""
     engine = job_engine(campaign)
-    piece = Piece((job,), (key or engine.key(job),), engine.attempt, 2, engine.order)
+    piece = Task((job,), (key or engine.key(job),), engine.attempt, 2, engine.order)
     sent = pickle.dumps(piece)
     assert len(sent) < 64_000
     there = pickle.loads(sent)
-    assert isinstance(there, Piece)
+    assert isinstance(there, Task)
     return there
 
 
@@ -309,19 +309,19 @@ def test_answer_and_warnings_of_a_worker_come_back(
     scripted: Any, bench: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     bench.script({1: "killed"})
-    answer = tried(travelled(scripted("run.retries=1"), modal()).attempt)
+    answer = retry(travelled(scripted("run.retries=1"), modal()).attempt)
     assert not answer.jobs[0].reused
-    assert any("trying again (1 of 1)" in line for line in answer.warnings)
+    assert any("retry 1 of 1" in line for line in answer.warnings)
     assert answer.core_s > 0.0
     assert len(pickle.dumps(answer)) < 4_000
     bench.script({4: "killed"})  # the third run is the first of a cluster
     with solving_engine(scripted("run.retries=1", "store=other")) as engine:
-        (first,) = solved(engine, [modal(1.1)])
-        (second,) = solved(engine, [modal(1.2)])
+        (first,) = solve_jobs(engine, [modal(1.1)])
+        (second,) = solve_jobs(engine, [modal(1.2)])
     assert (first.reused, second.reused) == (False, False)
     assert bench.runs() == 5
-    assert any("trying again (1 of 1)" in line for line in caplog.messages)
-    assert engine.ledger.core_s > 0.0
+    assert any("retry 1 of 1" in line for line in caplog.messages)
+    assert engine.costs.core_s > 0.0
 
 
 def test_an_error_says_after_its_travel_whether_another_try_may_follow() -> None:
@@ -351,7 +351,7 @@ def test_a_scheduler_that_does_not_answer_is_told(
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.5)
     campaign = scripted("run.dask={scheduler: 'tcp://127.0.0.1:9'}")
     with (
-        pytest.raises(CampaignError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"),
+        pytest.raises(CampaignError, match=r"no Dask scheduler answered at tcp://127\.0\.0\.1:9"),
         solving_engine(campaign),
     ):
         pass
@@ -419,7 +419,7 @@ def test_a_queue_that_refuses_workers_is_told_in_one_sentence(scripted: Any, ben
     )
     assert ended.returncode == 2
     (line,) = [line for line in ended.stderr.splitlines() if line.startswith("modetune: ")]
-    assert "no Dask cluster (slurm) could be started" in line
+    assert "the Dask cluster (slurm) did not start" in line
     assert "no such account" in line
     assert "Traceback" not in ended.stderr
 
@@ -464,7 +464,7 @@ def test_a_scheduler_that_ends_is_told(
     ending.start()
     with (
         solving_engine(campaign) as engine,
-        pytest.raises(CampaignError, match="scheduler ended or was lost"),
+        pytest.raises(CampaignError, match="scheduler was lost"),
     ):
-        solved(engine, [modal()])
+        solve_jobs(engine, [modal()])
     ending.join()

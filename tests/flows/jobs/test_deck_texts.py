@@ -11,10 +11,16 @@ import pytest
 from modetune.adapters.solver import ModalAnalysis, Rendered, Solver
 from modetune.core.errors import ModelError
 from modetune.core.storage.store import Store
-from modetune.flows.jobs import deck_texts
-from modetune.flows.jobs.deck_texts import deck_difference, deck_text, keep_text, kept_text
-from modetune.flows.jobs.explain import asked_by_note, differences_with_places
+from modetune.flows.jobs import job_difference
 from modetune.flows.jobs.job import NOMINAL, Job, Plans
+from modetune.flows.jobs.job_difference import (
+    deck_difference,
+    deck_text,
+    differences_with_places,
+    job_of_note,
+    load_text,
+    save_text,
+)
 from tests.flows.conftest import ChainDeck, ScriptedProgram
 
 DECK = ["*NODE", "1, 0, 0, 0", "2, 1, 0, 0", "*ELASTIC", "71000., 0.3", "*DENSITY", "2.8e-9"]
@@ -67,27 +73,27 @@ def test_equal_decks_differ_nowhere(ours: list[str], theirs: list[str]) -> None:
 def test_a_kept_text_comes_back_as_it_was(bench: Any) -> None:
     store = Store(bench.folder / "store")
     deck = nominal(bench, "\n".join([*DECK, "** Grüße"]).encode("latin-1"))
-    keep_text(store, "digest", deck)
+    save_text(store, "digest", deck)
     text = deck_text(deck)
     assert text is not None
-    assert kept_text(store, "digest") == text
+    assert load_text(store, "digest") == text
     assert text[:7] == DECK
 
 
 def test_a_damaged_or_missing_text_is_none(bench: Any) -> None:
     store = Store(bench.folder / "store")
-    assert kept_text(store, "none") is None
+    assert load_text(store, "none") is None
     (store.folder / "models").mkdir(parents=True)
     for data in (b"", b"no gzip", b"\x1f\x8b\x08\x00broken off"):
         (store.folder / "models" / "bad.gz").write_bytes(data)
-        assert not kept_text(store, "bad")
+        assert not load_text(store, "bad")
 
 
 def test_binary_and_large_decks_are_not_kept(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(bench.folder / "store")
-    keep_text(store, "binary", nominal(bench, b"\0\1"))
-    monkeypatch.setattr(deck_texts, "LARGEST", 10)
-    keep_text(store, "large", nominal(bench, b"*NODE\n1, 0, 0, 0\n"))
+    save_text(store, "binary", nominal(bench, b"\0\1"))
+    monkeypatch.setattr(job_difference, "LARGEST", 10)
+    save_text(store, "large", nominal(bench, b"*NODE\n1, 0, 0, 0\n"))
     assert not (store.folder / "models").exists()
 
 
@@ -95,7 +101,7 @@ def test_a_text_that_cannot_be_kept_harms_nothing(bench: Any) -> None:
     def refuse(folder: Path) -> None:
         raise ModelError("no such deck")
 
-    keep_text(Store(bench.folder / "store"), "refused", Rendered({}, refuse))
+    save_text(Store(bench.folder / "store"), "refused", Rendered({}, refuse))
 
 
 def test_a_result_of_a_changed_deck_says_where_it_changed(bench: Any) -> None:
@@ -106,7 +112,7 @@ def test_a_result_of_a_changed_deck_says_where_it_changed(bench: Any) -> None:
         solver = Solver(ChainDeck(), program)
         note = Plans(solver).note(Job({"k1": 1.0}, ModalAnalysis(6, (1,))), threads=1)
         texts[note.model_digest] = lines
-        jobs.append(asked_by_note(str(number), note))
+        jobs.append(job_of_note(str(number), note))
     other, job = jobs
     assert differences_with_places(job, other, texts.get) == (
         "the deck's text differs: `72000., 0.3` (below *ELASTIC), there `71000., 0.3`",

@@ -27,7 +27,7 @@ from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs import job as jobs
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import NOMINAL, Job
-from modetune.flows.jobs.job_memory import JobMemory
+from modetune.flows.jobs.limits import JobMemory
 from modetune.flows.updating.dry_run import dry_run
 from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.update import update_campaign
@@ -142,7 +142,7 @@ def test_decks_leave_memory_with_their_runs_failed_ones_too(bench: Any) -> None:
     engine.solve(Job({"k1": 1.1}, ModalAnalysis(5, (1,))))
     with pytest.raises(SolverRejected):
         engine.solve(Job({"k1": 1.2}, ModalAnalysis(5, (1,))))
-    engine.keep_text()
+    engine.save_text()
     assert (engine.plans._waiting, engine.plans._size) == ({}, 0)
 
 
@@ -241,4 +241,4 @@ def test_a_job_larger_than_the_memory_runs_alone_and_is_told(
         memory.add(modal, 3 * 10**9, 10**9)
     assert memory.limit(modal, 10**9, named=True).taken == memory.limit(modal, 10**9, True).slots
     (said,) = [record.getMessage() for record in caplog.records]
-    assert "took 3 GB of memory, more than the 1 GB" in said
+    assert "used 3 GB of memory, more than the available 1 GB" in said

@@ -18,8 +18,8 @@ from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.cli.explain import explain
 from modetune.flows.cli.update import show_dry_run
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.explain import asked_of, differences
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.job_difference import differences, job_of_holding
 from modetune.flows.jobs.lookup import explain_job, key_start
 from modetune.flows.updating.dry_run import dry_run, explain_unrun
 from modetune.flows.updating.update import update_campaign
@@ -90,7 +90,7 @@ def test_what_is_asked_of_the_model_is_told(bench: Any) -> None:
 
 def test_another_solver_version_and_another_deck_are_told(bench: Any) -> None:
     key = solved(bench, {"k1": 1.1})
-    (job,) = map(asked_of, holdings(bench.campaign(TRUTH).store))
+    (job,) = map(job_of_holding, holdings(bench.campaign(TRUTH).store))
     assert job.note is not None
     note = replace(job.note, model="wing.inp", model_digest="other")
     other = replace(job, key="f" * 64, solver_version="0.9", note=note)
@@ -106,7 +106,7 @@ def test_a_result_without_a_note_is_told_by_what_was_asked(bench: Any) -> None:
     solved(bench, {"k1": 1.2})
     store = bench.campaign(TRUTH).store
     old = [replace(holding, note="") for holding in holdings(store)]
-    jobs = {holding.key: asked_of(holding) for holding in old}
+    jobs = {holding.key: job_of_holding(holding) for holding in old}
     (other,) = set(jobs) - {key}
     told = differences(jobs[key], jobs[other])
     assert told == ('parameter values {"k1": 1.1}, there {"k1": 1.2}',)
@@ -132,7 +132,7 @@ def test_a_start_that_fits_several_keys_is_refused_with_them(bench: Any) -> None
     store = Store(bench.folder / "store")
     for key in ("abcd1" + "0" * 59, "abcd2" + "0" * 59):
         (store.folder / "jobs" / f"{key}.failed").mkdir(parents=True)
-    with pytest.raises(CampaignError, match="start of 2 keys: abcd10000000, abcd20000000"):
+    with pytest.raises(CampaignError, match=r"2 keys start with abcd \(abcd10000000, abcd20000000\)"):
         explain_job(store, "abcd")
 
 

@@ -302,7 +302,7 @@ def test_a_folder_of_another_user_is_not_used(tmp_path: Path) -> None:
     base = tmp_path / "base"
     process.machine_home(base).parent.mkdir()
     process.machine_home(base).symlink_to("/tmp")
-    with pytest.raises(StorageUnavailable, match="is not a folder of the user"):
+    with pytest.raises(StorageUnavailable, match="is not a folder owned by user"):
         process.make_private(process.machine_home(base))
 
 

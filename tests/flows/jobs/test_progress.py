@@ -13,8 +13,7 @@ from rich.console import Console
 
 from modetune.core.errors import SolverCrashed
 from modetune.flows.jobs import progress as module
-from modetune.flows.jobs.progress import JobProgress
-from modetune.flows.jobs.watching import Derivation, current_display
+from modetune.flows.jobs.progress import Derivation, JobProgress, current_display
 from tests.command_line import run_command
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
@@ -38,17 +37,17 @@ def test_jobs_done_of_jobs_asked_with_their_names_and_the_time_left() -> None:
     with progress.shown():
         watcher = current_display()
         assert watcher is not None
-        watcher.asked(4)
+        watcher.submitted(4)
         ends = [watcher.began("iteration 1", name) for name in ("E_wing", "E_fin")]
         ends[0]([solved(12.0)])  # type: ignore[list-item]
     # Three wait or run, one at a time, of 12 s each: 36 s.
     assert progress.line() == (
-        "iteration 1: sensitivities; 1 of 4 jobs done; running: E_fin; about 36 s left of these"
+        "iteration 1: sensitivities; 1 of 4 jobs done; running: E_fin; about 36 s left for these"
     )
     ends[1](SolverCrashed("it broke"))
     assert "2 of 4 jobs done (1 failed)" in progress.line()
     watcher.began("iteration 1", "E_tail")([solved(0.0, stored=True)])  # type: ignore[list-item]
-    assert "3 of 4 jobs done (1 from the store, 1 failed)" in progress.line()
+    assert "3 of 4 jobs done (1 cached, 1 failed)" in progress.line()
 
 
 def test_what_follows_by_itself_is_no_job() -> None:
@@ -107,7 +106,7 @@ def test_a_terminal_gets_a_bar_and_a_file_no_control_characters(tmp_path: Path) 
     progress = JobProgress(Console(file=screen, force_terminal=True, width=120))
     with progress.shown():
         progress.working("modes of six_mass")
-        progress.asked(2)
+        progress.submitted(2)
     said = screen.getvalue()  # its last picture at least is of the end
     assert "0 of 2 jobs done" in said
     assert "\x1b" in said

@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 
 from modetune.core.storage.store import Store
-from modetune.flows.jobs.scratch import factor_files, remove_abandoned
+from modetune.flows.jobs.store_files import factor_files, remove_abandoned
 
 OWNER = """
 import sys, time
 from pathlib import Path
 from modetune.core.storage.store import Store
-from modetune.flows.jobs.scratch import factor_files
+from modetune.flows.jobs.store_files import factor_files
 files = factor_files(Store(Path(sys.argv[1])))
 (files.folder / "factors_mumps_0").write_bytes(b"0" * 1000)
 print(files.folder, flush=True)

@@ -13,10 +13,10 @@ from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs.store_files import (
-    beside,
     campaigns_running,
     check,
     in_use,
+    other_files,
     prunable,
     remove,
 )
@@ -110,7 +110,7 @@ def leave(store: Store) -> None:
     aged(other, 40)
 
 
-LEFT = ["half-written file .old.part", "job broken off e"]
+LEFT = ["half-written file .old.part", "interrupted job e"]
 
 
 def test_without_an_age_only_what_killed_runs_left_goes(store: Store) -> None:
@@ -118,7 +118,7 @@ def test_without_an_age_only_what_killed_runs_left_goes(store: Store) -> None:
     assert names(store) == LEFT
     remove(store, prunable(store, NOW_S, None, None, False))
     assert names(store) == []
-    found = {item.what for item in beside(store, NOW_S)}
+    found = {item.what for item in other_files(store, NOW_S)}
     assert found == {
         "failed job", "kept job", "damaged result", "deck's text", "result of another format",
     }  # fmt: skip
@@ -144,7 +144,7 @@ def test_a_job_that_is_under_way_is_left_alone(store: Store) -> None:
     assert [item.what for item in gone] == ["half-written file"]
     holder.send_signal(signal.SIGKILL)
     holder.communicate()
-    assert names(store) == ["job broken off e", "lock e"]
+    assert names(store) == ["interrupted job e", "lock e"]
     remove(store, prunable(store, NOW_S, None, None, False))
     assert names(store) == []
     assert not lock.exists()

@@ -22,10 +22,10 @@ from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs import store_index
-from modetune.flows.jobs.explain import AskedJob, asked_of, differences
 from modetune.flows.jobs.job import JobNote
+from modetune.flows.jobs.job_difference import JobDescription, differences, job_of_holding
 from modetune.flows.jobs.lookup import nearest
-from modetune.flows.jobs.store_index import Chosen, IndexedEntry, StoreIndex, ask_index
+from modetune.flows.jobs.store_index import EntryFilter, IndexedEntry, StoreIndex, query_index
 from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_locks import without_flock
 from tests.core.storage.test_store import holdings
@@ -69,7 +69,7 @@ def index_file(store: Store) -> Path:
 
 
 def everything(store: Store) -> list[IndexedEntry]:
-    return ask_index(store, lambda index: index.entries(Chosen(), order="written_ns"))
+    return query_index(store, lambda index: index.entries(EntryFilter(), order="written_ns"))
 
 
 def told(entries: list[IndexedEntry]) -> set[tuple[object, ...]]:
@@ -78,7 +78,7 @@ def told(entries: list[IndexedEntry]) -> set[tuple[object, ...]]:
     }
 
 
-def distance(job: AskedJob, other: AskedJob) -> float:
+def distance(job: JobDescription, other: JobDescription) -> float:
     if job.note is None or other.note is None:
         return float("inf")
     ours, theirs = dict(job.note.values), dict(other.note.values)
@@ -87,7 +87,7 @@ def distance(job: AskedJob, other: AskedJob) -> float:
 
 def test_entries_are_what_stands_before_them(store: Store) -> None:
     expected = {
-        (item.key, store.path(item.key).stat().st_size, item.wall_s, asked_of(item).note)
+        (item.key, store.path(item.key).stat().st_size, item.wall_s, job_of_holding(item).note)
         for item in holdings(store)
     }
     assert told(everything(store)) == expected
@@ -100,15 +100,15 @@ def test_the_newest_come_first(store: Store) -> None:
         os.utime(store.path(holding.key), (1e9 + place, 1e9 + place))
     shutil.rmtree(store.folder / "index", ignore_errors=True)
     expected = [holding.key for holding in holdings(store)][-5:][::-1]
-    found = ask_index(store, lambda index: index.newest(5))
+    found = query_index(store, lambda index: index.newest(5))
     assert [entry.key for entry in found] == expected
     assert [entry.written_s for entry in found] == [1e9 + COUNT - 1 - place for place in range(5)]
 
 
 def test_the_nearest_is_what_a_comparison_with_every_entry_finds(store: Store) -> None:
-    jobs = [asked_of(holding) for holding in holdings(store)]
+    jobs = [job_of_holding(holding) for holding in holdings(store)]
 
-    def rank(job: AskedJob, other: AskedJob) -> tuple[bool, bool, int, float]:
+    def rank(job: JobDescription, other: JobDescription) -> tuple[bool, bool, int, float]:
         count = len(differences(job, other))
         return other.solver != job.solver, other.kind != job.kind, count, distance(job, other)
 
@@ -131,10 +131,10 @@ def test_no_entry_is_opened_twice(store: Store, monkeypatch: pytest.MonkeyPatch)
         return honest(self, key)
 
     monkeypatch.setattr(Store, "holding", counted)
-    job = asked_of(holdings(store)[0])
+    job = job_of_holding(holdings(store)[0])
     opened.clear()
     everything(store)
-    ask_index(store, lambda index: (index.newest(5), index.nearest(job), index.sums()))
+    query_index(store, lambda index: (index.newest(5), index.nearest(job), index.sums()))
     assert opened == []
     key = put(store, np.random.default_rng(99))
     assert key in {entry.key for entry in everything(store)}
@@ -166,10 +166,10 @@ def test_entries_that_cannot_be_read_are_listed_and_never_near(store: Store) -> 
     store.path(bad).write_bytes(b"no entry")
     (found,) = [entry for entry in everything(store) if entry.job is None]
     assert (found.key, found.size) == (bad, len(b"no entry"))
-    keys = {entry.key for entry in ask_index(store, lambda index: index.newest(COUNT))}
+    keys = {entry.key for entry in query_index(store, lambda index: index.newest(COUNT))}
     assert len(keys) == COUNT - 1
-    job = asked_of(holdings(store)[0])
-    assert bad not in ask_index(store, lambda index: index.nearest(job))
+    job = job_of_holding(holdings(store)[0])
+    assert bad not in query_index(store, lambda index: index.nearest(job))
 
 
 def test_entries_of_other_formats_are_not_in_it(store: Store) -> None:
@@ -182,7 +182,7 @@ def test_entries_of_other_formats_are_not_in_it(store: Store) -> None:
 
 def test_an_index_that_is_damaged_changes_nothing_and_is_made_anew(store: Store) -> None:
     expected, random = told(everything(store)), np.random.default_rng(11)
-    job = asked_of(holdings(store)[0])
+    job = job_of_holding(holdings(store)[0])
     file = index_file(store)
     good = file.read_bytes()
     for _ in range(100):
@@ -191,13 +191,13 @@ def test_an_index_that_is_damaged_changes_nothing_and_is_made_anew(store: Store)
             spoilt[place] = random.integers(256)
         cut = int(random.integers(1, len(good))) if random.uniform() < 0.2 else len(good)
         file.write_bytes(spoilt[:cut])
-        ask_index(store, lambda index: (index.newest(5), index.sums(), index.nearest(job)))
+        query_index(store, lambda index: (index.newest(5), index.sums(), index.nearest(job)))
         everything(store)
         (near,) = nearest(store, [job], lambda _: None)
         assert near is not None  # told by the entry, whatever the index says
         holding = store.holding(near.key)
         assert holding is not None
-        assert near.differences == differences(job, asked_of(holding))
+        assert near.differences == differences(job, job_of_holding(holding))
     for junk in (b"", b"no database", good[: len(good) // 2]):
         file.write_bytes(junk)
         assert told(everything(store)) == expected
@@ -239,14 +239,14 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from modetune.core.storage.store import Store
-from modetune.flows.jobs.store_index import ask_index
+from modetune.flows.jobs.store_index import query_index
 def spoil(index):
     ask = index._database.execute
     ask("PRAGMA cache_size = 1")
     ask("BEGIN")
     ask("UPDATE entries SET wall_s = -1, size = -1, numbers = zeroblob(5000)")
     os.kill(os.getpid(), signal.SIGKILL)
-ask_index(Store(Path(sys.argv[1])), spoil)
+query_index(Store(Path(sys.argv[1])), spoil)
 """
 
 
@@ -273,7 +273,7 @@ def test_a_campaign_is_the_same_whatever_its_index_says(bench: Any, watcher: Any
     def lie(index: StoreIndex) -> None:
         index._database.execute("UPDATE entries SET key = substr(key, 2) || '0', wall_s = 1e9")
 
-    ask_index(campaign.store, lie)
+    query_index(campaign.store, lie)
     runs = bench.runs()
     again = update_campaign(campaign, bench.folder / "run", watcher, forecast=lambda _: None).record
     assert bench.runs() == runs

@@ -14,8 +14,8 @@ from prefect.exceptions import InfrastructureNotAvailable
 
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs import prefect_server as process
+from modetune.flows.jobs.heartbeats import RESOURCE, SILENT_S, HeartbeatWatch, send_heartbeat
 from modetune.flows.jobs.server_client import ServerClient
-from modetune.flows.jobs.silent_runs import RESOURCE, SILENT_S, SilentRuns, send_heartbeat
 from modetune.flows.server.worker import CampaignWorker, FixedConfiguration, check_login
 from tests.eventually import eventually
 from tests.flows.conftest import api_of
@@ -200,7 +200,7 @@ def test_a_process_number_of_the_server_is_never_a_process_to_end() -> None:
 
 
 class Server:
-    """A server's flow runs and heartbeats, as `SilentRuns` asks for them."""
+    """A server's flow runs and heartbeats, as `HeartbeatWatch` asks for them."""
 
     def __init__(self, **states: str) -> None:
         self.states = states
@@ -226,7 +226,7 @@ class Server:
 
 def test_only_a_run_without_heartbeats_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that was to be cancelled ends as cancelled."""
-    server, watch, now = Server(a="RUNNING", b="RUNNING", c="CANCELLING"), SilentRuns(), [0.0]
+    server, watch, now = Server(a="RUNNING", b="RUNNING", c="CANCELLING"), HeartbeatWatch(), [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     while now[0] <= SILENT_S + 10.0:
         server.beats["a"] += 1

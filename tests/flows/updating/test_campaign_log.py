@@ -28,7 +28,7 @@ def test_runs_and_iterations_and_the_end_are_logged(bench: Any, watcher: Any) ->
         record.runs.modal + record.runs.sensitivity
     )
     text = (bench.folder / "run" / "campaign.log").read_text()
-    assert text.count("trying again (1 of 1)") == 1  # below the program that was killed
+    assert text.count("retry 1 of 1") == 1  # below the program that was killed
     assert sum(" iteration " in f" {line}" and "least MAC" in line for line in lines) == len(
         record.iterations
     )

@@ -14,8 +14,8 @@ from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.schema import SensitivitySection
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job, read_note
-from modetune.flows.jobs.job_prices import Price, job_prices, side_by_side
 from modetune.flows.jobs.limits import Limit
+from modetune.flows.jobs.lookup import MedianCost, job_costs, parallel_time
 from modetune.flows.updating.forecast import (
     Cost,
     Forecast,
@@ -129,22 +129,22 @@ def test_an_earlier_state_of_the_deck_gives_prices_until_there_are_own_ones(
     campaign = bench.campaign(TRUTH)
     forecasts(bench, watcher, campaign)
     engine = job_engine(campaign)
-    assert job_prices(engine, engine.plans.model_digest()).keys() == {"modal"}
-    assert job_prices(engine, "another digest").keys() == {"modal"}  # by the model's name
+    assert job_costs(engine, engine.plans.model_digest()).keys() == {"modal"}
+    assert job_costs(engine, "another digest").keys() == {"modal"}  # by the model's name
 
 
 def test_licences_are_counted_where_the_campaign_has_some(bench: Any) -> None:
     engine = job_engine(bench.campaign(TRUTH))
     engine = replace(engine, limits=(*engine.limits, Limit("scripted", 2, 1)))
     job = Job({}, ModalAnalysis(6, ()))
-    cost = job_cost(engine, {"modal": Price(30.0, 60.0)}, 2)([job, job])
+    cost = job_cost(engine, {"modal": MedianCost(30.0, 60.0)}, 2)([job, job])
     assert (cost.core_s, cost.licence_s, cost.wall_s) == (120.0, 60.0, 30.0)
     assert "2 core-minutes, 1 licence-minutes, about 30 s" in cost_text(cost)
 
 
 def test_jobs_side_by_side_take_as_long_as_the_fullest_place() -> None:
-    assert side_by_side([3.0, 2.0, 2.0, 1.0], 2) == 4.0
-    assert side_by_side([], 2) == 0.0
+    assert parallel_time([3.0, 2.0, 2.0, 1.0], 2) == 4.0
+    assert parallel_time([], 2) == 0.0
 
 
 def test_a_cost_without_some_prices_says_how_many() -> None:

@@ -28,7 +28,7 @@ from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
-from modetune.flows.jobs.execution import solved
+from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.updating import solutions
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.mode_source import Demand, by_solver, modes_forecast, modes_source
@@ -389,7 +389,7 @@ def test_the_way_that_takes_less_is_taken_told_and_kept(
     few = "by the solver's own runs: 2 matrix jobs, about [0-9.]+ s in all, against 4 runs, about"
     assert re.search(few, caplog.text)
     assert "judged by the number of elements" in caplog.text
-    (outcome,) = solved(own.source.engine, [own.job(campaign.start, ModalAnalysis(6, ()))])
+    (outcome,) = solve_jobs(own.source.engine, [own.job(campaign.start, ModalAnalysis(6, ()))])
     entry, holding = campaign.store.get(outcome.key), campaign.store.holding(outcome.key)
     assert entry is not None
     assert holding is not None
@@ -567,7 +567,7 @@ def test_a_limit_of_memory_holds_whoever_finds_the_modes(
             update(file, tmp_path, watcher, *limit)
     else:
         assert update(file, tmp_path, watcher, *limit).iterations
-    assert "more than the 0.001 GB that may be taken (`run.memory_gb`" in caplog.text
+    assert "more than the available 0.001 GB (`run.memory_gb`" in caplog.text
     assert not list((tmp_path / "store").glob("jobs/factors-*"))
 
 

@@ -14,9 +14,9 @@ import pytest
 from modetune.core.errors import ModesError, SolverCancelled
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.execution import EACH_A_TASK
-from modetune.flows.jobs.tasks import StudyRun, Tasks, running_with
-from modetune.flows.jobs.watching import Ended, doing
-from modetune.flows.jobs.work import Computation, Piece, PoolRunner, Task, TaskEnd, task_end
+from modetune.flows.jobs.progress import Ended, doing
+from modetune.flows.jobs.runner import Computation, PoolRunner, Task, TaskRun, TaskState, task_state
+from modetune.flows.jobs.tasks import StudyRun, Tasks, use_run
 from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.forecast import Unwatched
@@ -34,23 +34,23 @@ class Recorder(PoolRunner):
 
     def __init__(self) -> None:
         super().__init__(2)
-        self.begun: list[tuple[str, Task]] = []
+        self.begun: list[tuple[str, TaskRun]] = []
         self.computed: list[tuple[str, str]] = []
 
-    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
-        task = super().submit(name, piece, after)
-        self.begun.append((name, task))
-        return task
+    def submit(self, name: str, task: Task, after: Sequence[TaskRun]) -> TaskRun:
+        run = super().submit(name, task, after)
+        self.begun.append((name, run))
+        return run
 
-    def compute(self, name: str, work: Computation[Any], after: Sequence[Task]) -> None:
+    def compute(self, name: str, work: Computation[Any], after: Sequence[TaskRun]) -> None:
         self.computed.append((name, work.run().name))
 
-    def note(self, name: str, end: TaskEnd, after: Sequence[Task]) -> None:
+    def note(self, name: str, end: TaskState, after: Sequence[TaskRun]) -> None:
         self.computed.append((name, end.name))
 
     @property
     def ended(self) -> list[tuple[str, str]]:
-        solved = [(name, task_end(task.result().jobs).name) for name, task in self.begun]
+        solved = [(name, task_state(task.result().jobs).name) for name, task in self.begun]
         return solved + self.computed
 
     def states(self, part: str) -> Counter[str]:
@@ -60,14 +60,14 @@ class Recorder(PoolRunner):
 def screened(campaign: Campaign, points: int) -> tuple[Recorder, Any]:
     """The tasks of a screening, and what it found."""
     runner, request = Recorder(), ScreeningRequest("lhs", points=points)
-    with running_with(StudyRun(runner)):
+    with use_run(StudyRun(runner)):
         return runner, screen_campaign(campaign, request, Unwatched().working)
 
 
 def updated(campaign: Campaign, folder: Path) -> Recorder:
     """The tasks of an update."""
     runner = Recorder()
-    with running_with(StudyRun(runner)):
+    with use_run(StudyRun(runner)):
         run = update_from_starts(campaign, folder, Watcher())
     assert run.record.status == "converged"
     return runner
@@ -133,7 +133,7 @@ class Shown:
     def __init__(self) -> None:
         self.ended: list[Ended] = []
 
-    def asked(self, pieces: int) -> None:
+    def submitted(self, tasks: int) -> None:
         return
 
     def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
@@ -150,7 +150,7 @@ def test_a_computation_that_fails_has_ended_on_the_display() -> None:
     for error in (ModesError("lost"), KeyboardInterrupt()):
         with pytest.raises(type(error)), doing("model"):
             tasks.compute("modal", lambda error=error: fail(error))  # type: ignore[misc]
-    assert [task_end(ended).name for ended in shown.ended] == ["Failed", "Cancelled"]
+    assert [task_state(ended).name for ended in shown.ended] == ["Failed", "Cancelled"]
     assert tasks.compute("modal", lambda: (1.0, ())) == 1.0  # without a title: no task
     assert len(shown.ended) == 2
 
@@ -160,7 +160,7 @@ def test_a_computation_that_fails_has_ended_on_the_display() -> None:
     [(SolverCancelled("x"), "CANCELLED"), (ModesError("x"), "FAILED"), ((), "COMPLETED")],
 )
 def test_only_what_has_a_result_is_green(done: Ended, kind: str) -> None:
-    assert task_end(done).kind == kind
+    assert task_state(done).kind == kind
 
 
 def test_many_points_that_the_store_answers_are_one_task(bench: Bench) -> None:
@@ -174,5 +174,5 @@ def test_many_points_that_the_store_answers_are_one_task(bench: Bench) -> None:
         f"points of the design / modal {place} of {points}" for place in range(1, points + 1)
     }
     assert bench.runs("modal") == points + 1
-    assert again.states(f"points of the design / {points} results of the store") == {"Cached": 1}
+    assert again.states(f"points of the design / {points} cached results") == {"Cached": 1}
     assert len(again.ended) < 10

@@ -19,8 +19,8 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Values
 from modetune.core.updating.job_results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.tasks import StudyRun, running_with
-from modetune.flows.jobs.work import Piece, PoolRunner, Task
+from modetune.flows.jobs.runner import PoolRunner, Task, TaskRun
+from modetune.flows.jobs.tasks import StudyRun, use_run
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.screen.figures import screening_charts
 from modetune.flows.studies.screen.record import SCREENING, Screening
@@ -152,17 +152,17 @@ class Impatient(PoolRunner):
 
     def __init__(self) -> None:
         super().__init__(2)
-        self.begun: list[Task] = []
+        self.begun: list[TaskRun] = []
 
-    def submit(self, name: str, piece: Piece, after: Sequence[Task]) -> Task:
-        task = super().submit(name, piece, after)
-        if piece.jobs:
-            self.begun.append(task)
+    def submit(self, name: str, task: Task, after: Sequence[TaskRun]) -> TaskRun:
+        run = super().submit(name, task, after)
+        if task.jobs:
+            self.begun.append(run)
         if len(self.begun) == 12:
             for early in self.begun[:6]:
                 early.result()
             raise KeyboardInterrupt
-        return task
+        return run
 
     def wait(self) -> None:
         """Wait until no piece is under way."""
@@ -174,7 +174,7 @@ def test_a_stopped_screening_goes_on_where_it_was(bench: Bench) -> None:
     campaign = bench.campaign({"k1": 1.2, "k3": 0.9}, modes=(1, 2, 3))
     request = ScreeningRequest("lhs", points=60)  # so many that a stop cannot come too late
     runner = Impatient()
-    with pytest.raises(KeyboardInterrupt), running_with(StudyRun(runner)):
+    with pytest.raises(KeyboardInterrupt), use_run(StudyRun(runner)):
         screen_campaign(campaign, request, Unwatched().working)
     runner.wait()
     kept = sum(1 for _ in campaign.store.folder.glob("??/*.h5"))

@@ -1,10 +1,10 @@
-"""Heartbeats of flow runs, and the end of runs that send none.
+"""Heartbeats of flow runs, and the detection of runs that stopped sending them.
 
-The watcher of a run sends an event to the server every few seconds, in the place of Prefect's own
-thread, whose minimum is 30 s. Workers and the keeper of the shared server mark a run as crashed
-whose events have stopped: its slots are free then, and the next run that is due starts. Only what
-they have seen counts, by their own clock: machines need not agree on the time, and a server that
-was gone for an hour ends no run when it is back.
+Each run sends an event to the server every few seconds, in place of Prefect's own thread, whose
+minimum interval is 30 s. Workers and the keeper of the shared server mark a run as crashed when its
+events have stopped, so that its slots are free and the next due run starts. They measure the
+silence by their own clock while they watch: machines may disagree on the time, and a server that
+was down for an hour crashes no run when it returns.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from uuid import uuid4
 
 from modetune.flows.jobs.server_client import ServerClient
 
-#: Seconds between two heartbeats of a run, and between two looks at all runs.
+#: Seconds between two heartbeats of a run, and between two checks of all runs.
 BEAT_S = 10.0
 LOOK_S = 5.0
-#: Seconds without a heartbeat after which a run has crashed: three may be lost, or wait for the
+#: Seconds without a heartbeat until a run counts as crashed: three may be lost, or delayed by the
 #: server, which writes events to its database every 5 s.
 SILENT_S = 35.0
-#: Marks runs that send heartbeats; others are left alone.
+#: Tag of runs that send heartbeats; other runs are ignored.
 TAG = "modetune"
 #: The event that Prefect's own thread sends, and the resource that it is about.
 EVENT = "prefect.flow-run.heartbeat"
 RESOURCE = "prefect.flow-run."
-#: States of runs that a process carries out.
+#: States of runs that have a process.
 CARRIED = ("PENDING", "RUNNING", "CANCELLING")
-#: How far the clocks of machines may differ: events of that time count.
+#: Tolerated difference between the clocks of machines.
 CLOCKS = timedelta(days=1)
 
 
 def send_heartbeat(client: ServerClient, run: str, seconds: float = 4.0) -> None:
-    """Show that a process carries out this run. Raises ServerRefused."""
+    """Send a run's heartbeat. Raises ServerRefused."""
     event = {
         "id": str(uuid4()),
         "occurred": datetime.now(UTC).isoformat(),
@@ -45,25 +45,25 @@ def send_heartbeat(client: ServerClient, run: str, seconds: float = 4.0) -> None
 
 
 def _end(client: ServerClient, run: str, before: str) -> None:
-    """Mark a silent run as crashed, as cancelled where that was asked, unless it has ended."""
-    message = f"no heartbeat for {SILENT_S:.0f} s: its process, or its machine, is gone"
+    """Mark a silent run as crashed, or as cancelled if it was being cancelled."""
+    message = f"no heartbeat for {SILENT_S:.0f} s: its process or machine has died"
     # From Cancelling the server accepts no other final state.
     kind = "CANCELLED" if before == "CANCELLING" else "CRASHED"
     state = {"type": kind, "name": kind.capitalize(), "message": message}
     client.post(f"/flow_runs/{run}/set_state", {"state": state})
 
 
-class SilentRuns:
-    """Runs of one server, and when each of them last sent a heartbeat.
+class HeartbeatWatch:
+    """Watches the heartbeats of one server's runs.
 
-    A run that never sent one counts from when it was first seen.
+    The silence of a run without a heartbeat is counted from the first check that found it.
     """
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[object, float]] = {}
 
     def look(self, client: ServerClient) -> list[str]:
-        """Mark runs as crashed that were silent for too long; return them. Raises ServerRefused."""
+        """Mark runs that were silent too long as crashed; return them. Raises ServerRefused."""
         carried = {"state": {"type": {"any_": list(CARRIED)}}, "tags": {"all_": [TAG]}}
         runs = client.post("/flow_runs/filter", {"flow_runs": carried})
         signs = _heartbeats(client, [run["id"] for run in runs]) if runs else {}
@@ -81,7 +81,7 @@ class SilentRuns:
 
 
 def _heartbeats(client: ServerClient, runs: list[Any]) -> dict[str, object]:
-    """Return for each run the number of its heartbeats and the time of the last one."""
+    """Return the number of heartbeats of each run and the time of the last one."""
     now = datetime.now(UTC)
     found = client.post(
         "/events/count-by/resource",
