@@ -106,7 +106,7 @@ def mac_towers(
 
 
 def mac_maps(title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]) -> Chart:
-    """The same as maps, their values written in while there is room."""
+    """The same as maps, their values labels in while there is room."""
     panels = _mac_panels(HeatMap, tables, numbers)
     n_rows, n_columns = tables[0][1].shape
     size = max(2.8, 1.4 + 0.42 * n_columns), max(2.6, 1.0 + 0.36 * n_rows)
@@ -137,12 +137,14 @@ def frequencies(
         ("before", before_hz, BEFORE, "o"),
         ("after", after_hz, AFTER, "x"),
     ):
-        told = tuple(
+        tooltips = tuple(
             f"mode {number}: test {x:.3f} Hz, {name} {y:.3f} Hz"
             for number, x, y in zip(names, test_hz, values, strict=True)
         )
-        written = names if name == "after" else ()
-        points.append(Curve(name, test_hz, values, colour, "", mark, told=told, written=written))
+        labels = names if name == "after" else ()
+        points.append(
+            Curve(name, test_hz, values, colour, "", mark, tooltips=tooltips, labels=labels)
+        )
         bars.append(Bars(name, 100.0 * (values / test_hz - 1.0), colour))
     panels = (
         Panel(tuple(points), Axis("test, Hz", span=span), Axis("computed, Hz", span=span)),
@@ -162,10 +164,12 @@ def parameter_histories(record: CampaignRecord) -> Chart:
         looks = (kept, "", (line, "o")), (tried, " (not kept)", ("", "ring"))
         for which, said, look in looks:
             values = np.array([item.parameters[place] for item in which])
-            told = tuple(f"{name}: {value:.4f}{said}" for value in values)
+            tooltips = tuple(f"{name}: {value:.4f}{said}" for value in values)
             numbers = np.array([item.number for item in which])
             if which:
-                items.append(Curve(name, numbers, values, colour, *look, size=5.0, told=told))
+                items.append(
+                    Curve(name, numbers, values, colour, *look, size=5.0, tooltips=tooltips)
+                )
     panel = Panel(tuple(items), _iteration_axis(record), Axis("value relative to the deck"))
     return Chart(record.name, "parameters by iteration", (panel,), size=(6.4, 4.2))
 
@@ -174,7 +178,7 @@ def field_chart(found: FieldMap) -> Chart:
     """A field on its part, and its values with two standard errors, element by element."""
     ends = np.linspace(found.values.min(), found.values.max() + 1e-12, len(FIELD_COLOURS) + 1)
     classes = np.digitize(found.values, ends[1:-1])
-    told = [
+    tooltips = [
         f"element {number}: {value:.3f} ± {error:.3f}"
         for number, value, error in zip(found.elements, found.values, found.errors, strict=True)
     ]
@@ -186,13 +190,15 @@ def field_chart(found: FieldMap) -> Chart:
     for place, colour in enumerate(FIELD_COLOURS):
         own = np.flatnonzero(classes == place)
         if own.size:
-            said = tuple(told[row] for row in own)
+            said = tuple(tooltips[row] for row in own)
             name = f"{ends[place]:.3g} to {ends[place + 1]:.3g}"
-            dots.append(Curve(name, along[own], across[own], colour, "", "s", told=said))
+            dots.append(Curve(name, along[own], across[own], colour, "", "s", tooltips=said))
     order = np.argsort(found.elements, kind="stable")
     x, y, reach = positions(order.tolist()), found.values[order], 2.0 * found.errors[order]
     curves = (
-        Curve("value", x, y, AFTER, "-", "o", size=4.0, told=tuple(told[row] for row in order)),
+        Curve(
+            "value", x, y, AFTER, "-", "o", size=4.0, tooltips=tuple(tooltips[row] for row in order)
+        ),
         *(Curve("two standard errors", x, y + way * reach, GREY, ":") for way in (-1.0, 1.0)),
     )
     names = tuple(str(number) for number in found.elements[order])
@@ -270,8 +276,8 @@ def comac(title: str, found: SensorAgreement) -> Chart:
     looks = ("before", found.before, BEFORE, "o"), ("after", found.after, AFTER, "x")
     for name, values, colour, mark in looks:
         pairs = zip(found.labels, values, strict=True)
-        told = tuple(f"{label}, {name}: {value:.3f}" for label, value in pairs)
-        items.append(Curve(name, at, values, colour, "", mark, size=6.0, told=told))
+        tooltips = tuple(f"{label}, {name}: {value:.3f}" for label, value in pairs)
+        items.append(Curve(name, at, values, colour, "", mark, size=6.0, tooltips=tooltips))
     y = Axis("COMAC", span=(found.scale_foot - 0.02, 1.02))
     panel = Panel(tuple(items), Axis(names=found.labels, slant=90), y)
     size = max(6.4, min(0.14 * len(found.labels), 16.0)), 3.4
@@ -306,11 +312,11 @@ def l_curve(trust: Trust) -> Chart:
     """Size of the step over what it leaves, for all factors; the corner and the factor taken."""
     curve = trust.curve
     assert curve is not None
-    told = tuple(
+    tooltips = tuple(
         f"factor {factor:.3g}: left {left:.3g}, size {size:.3g}"
         for factor, left, size in zip(curve.factors, curve.misfits, curve.sizes, strict=True)
     )
-    items = [Curve("all factors", curve.misfits, curve.sizes, GREY, told=told)]
+    items = [Curve("all factors", curve.misfits, curve.sizes, GREY, tooltips=tooltips)]
     points = [("corner", curve.corner, TEST, "ring")]
     if trust.regularisation > 0.0:
         points.append(("taken", trust.regularisation, AFTER, "x"))

@@ -1,9 +1,8 @@
-"""A chart as values: panels with curves, bars and maps on axes, and nothing of how they are drawn.
+"""A chart as values: panels with curves, bars and maps on axes, independent of drawing.
 
-What is described here once is drawn by `charts.js` in a page, which answers the pointer, and by
-`matplotlib_charts` for print. Texts are plain: what a drawing library would take for markup or for
-a formula is escaped where it is drawn. Colours are those of Okabe and Ito (2008), told apart by
-everyone; test, before and after have the same colour everywhere.
+`charts.js` draws a chart in an interactive page, `matplotlib_charts` for print. Texts are plain;
+the drawing code escapes markup and formulas. The colours are those of Okabe and Ito (2008), which
+colour-blind readers can distinguish; test, before and after have the same colours everywhere.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ from modetune.core.storage.keys import Json, number_or_null
 TEST, BEFORE, AFTER = "#000000", "#56B4E9", "#D55E00"
 PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY = "#8a8f98"
-#: Rows and columns of a map up to which its values are written into it.
+#: Maximum number of rows and columns of a map with printed values.
 NUMBERED = 16
-#: A written value below it is left out: a field of zeros hides what is to be seen.
+#: Smaller values are not printed: a field of zeros hides the others.
 ZERO = 0.005
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Points (n,) joined by a line, or marked, or both; NaN is a gap.
+    """Points (n,) with a line, markers or both; NaN is a gap.
 
-    line: -, --, : or nothing; mark: o, ring, x, +, v, s, or nothing.
-    told: the text of each point under the mouse; written: the text next to it.
+    line is -, --, : or ""; mark is o, ring, x, +, v, s or "". Each point may have a tooltip and a
+    label next to it.
     """
 
     name: str
@@ -42,34 +41,34 @@ class Curve:
     mark: str = ""
     width: float = 1.5
     size: float = 7.0
-    told: tuple[str, ...] = ()
-    written: tuple[str, ...] = ()
+    tooltips: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Bars:
-    """A bar (n,) for each name of the category axis; a panel may have several, side by side.
+    """A bar (n,) for each name of the category axis; several sets appear side by side.
 
-    colours: of all, or of each; errors: half widths of intervals, (n,).
+    colours has one for all or one for each bar; errors are half widths of intervals, (n,).
     """
 
     name: str
     values: Floats
     colours: str | tuple[str, ...]
     errors: Floats | None = None
-    written: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class HeatMap:
-    """Values (n_rows, n_columns) as colours, written in while there is room.
+    """Values (n_rows, n_columns) as colours, printed in their cells if there is room.
 
-    told: the text of a cell under the mouse, with {row}, {column} and {value}; unit: of the scale,
-    which goes from low to high in the colours viridis, RdBu (against and with) or Blues.
+    tooltip contains {row}, {column} and {value}. The scale from low to high has a unit and the
+    colours viridis, RdBu or Blues.
     """
 
     values: Floats
-    told: str
+    tooltip: str
     unit: str = ""
     low: float = 0.0
     high: float = 1.0
@@ -82,16 +81,16 @@ class HeatMap:
 
 @dataclass(frozen=True, slots=True)
 class Towers:
-    """Values (n_rows, n_columns) in [0, 1] as bars in space; rows go back, columns to the right."""
+    """Values (n_rows, n_columns) in [0, 1] as 3D bars; rows go back, columns to the right."""
 
     values: Floats
-    told: str
+    tooltip: str
     unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A straight line across a panel, where one axis has a value."""
+    """A straight line across a panel at one value of an axis."""
 
     name: str
     value: float
@@ -102,10 +101,10 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """The names, numbers and title along an axis.
+    """An axis with its title.
 
-    names: of categories, at 0, 1, 2 ...; slant: degrees by which they are turned; step: of its
-    ticks; span: its ends; turned: whether it begins at the far end.
+    names are categories at 0, 1, 2 ..., rotated by slant degrees; step is the distance of ticks;
+    span contains the ends; turned reverses the direction.
     """
 
     label: str = ""
@@ -122,7 +121,7 @@ Item = Curve | Bars | HeatMap | Towers | Rule
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Things on one pair of axes; sideways: its bars lie, the categories are those of y."""
+    """Items on one pair of axes; sideways makes bars horizontal, with categories along y."""
 
     items: tuple[Item, ...]
     x: Axis = field(default_factory=Axis)
@@ -138,15 +137,14 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Panels in rows of so many; told: what it shows, for who cannot see it.
+    """Panels in rows of `across`, with a description for screen readers.
 
-    size: of a panel in inches; same_x, same_y: whether the panels of a column share their x axis,
-    those of a row their y axis; legend: its title. A name that several panels have stands in the
-    legend once.
+    size is that of a panel in inches; same_x shares the x axis within a column, same_y the y axis
+    within a row; legend is the title of the legend, which lists each name once.
     """
 
     title: str
-    told: str
+    description: str
     panels: tuple[Panel, ...]
     across: int = 1
     size: tuple[float, float] = (6.4, 3.8)
@@ -164,10 +162,7 @@ class Chart:
 
 
 def chart_json(value: Any) -> Json:
-    """A chart as `charts.js` reads it: objects of the fields with their kind, six digits a number.
-
-    What no axis can show (NaN) is null.
-    """
+    """Return a chart as JSON for `charts.js`, with six digits per number and null for NaN."""
     if is_dataclass(value):
         found = {item.name: chart_json(getattr(value, item.name)) for item in fields(value)}
         if isinstance(value, HeatMap):
@@ -192,5 +187,5 @@ def positions(names: Sequence[object]) -> Floats:
 
 
 def tick_step(largest: float) -> float:
-    """Step of an axis of whole numbers that has a dozen ticks at most."""
+    """Return the step of an integer axis with at most about a dozen ticks."""
     return float(max(1, int(largest) // 12))

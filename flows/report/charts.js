@@ -1,10 +1,10 @@
-// Charts as SVG, from the values that `chart.py` tells; drawn anew when their width changes.
+// Charts as SVG, from the values of `chart.py`; redrawn when their width changes.
 "use strict";
 (() => {
-  const PIXELS = 84;          // of an inch of a panel
-  const NARROWEST = 290;      // of a panel; fewer stand side by side where there is less room
-  const NEAR = 24;            // pixels within which a point tells about itself
-  const ZERO = 0.005;         // a written value below it is left out
+  const PIXELS = 84;          // per inch of a panel
+  const NARROWEST = 290;      // pixels of a panel; a narrower page has fewer columns
+  const NEAR = 24;            // pixels between pointer and a point that shows its tooltip
+  const ZERO = 0.005;         // smaller values in a map are not printed
   const SCALES = {
     viridis: ["#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725"],
     RdBu: ["#67001f", "#b2182b", "#d6604d", "#f4a582", "#f7f7f7", "#92c5de", "#4393c3", "#2166ac", "#053061"],
@@ -36,7 +36,7 @@
     return text.replace(/-/g, "−");
   };
 
-  // What stands under the pointer, in words; `find(x, y)` gives them, in pixels of the element.
+  // Shows a tooltip; `find(x, y)` returns its text, with x and y in pixels of the element.
   const bubble = document.createElement("div");
   bubble.className = "tip";
   bubble.hidden = true;
@@ -80,7 +80,7 @@
     return found;
   }
 
-  // An axis: its ends in its own (logarithmic where it is so) numbers, and its ticks.
+  // An axis: its ends (their logarithms on a logarithmic axis) and its ticks.
   function scale(axis, values, room, zoomed) {
     if (axis.names.length) {
       const ends = [-0.6, axis.names.length - 0.4];
@@ -99,7 +99,7 @@
     let at = axis.log ? logTicks(low, high) : ticks(low, high, count, zoomed ? null : axis.step);
     if (axis.log && at.length < 2) at = ticks(10 ** low, 10 ** high, 3).map(Math.log10);
     const written = (places) => at.map((v) => digits(axis.log ? Number((10 ** v).toPrecision(places)) : v));
-    let places = 3;   // as many as tell one mark from the next
+    let places = 3;   // as many as needed to distinguish the tick labels
     while (places < 6 && new Set(written(places)).size < at.length) places++;
     const texts = written(places), marks = at.map((v, i) => [v, texts[i]]);
     return axis.turned ? { low: high, high: low, of, marks } : { low, high, of, marks };
@@ -115,9 +115,9 @@
     "+": (x, y, r) => svg("path", { d: `M${x - r} ${y}h${2 * r}m${-r} ${-r}v${2 * r}`, class: "open" }),
   };
 
-  function told(item, panel, row, column) {
+  function cellText(item, panel, row, column) {
     const { value } = { value: item.values[row][column] };
-    return item.told.replace(/\{(\w+)(?::([+]?)\.(\d)f)?\}/g, (_, name, sign, decimals) => {
+    return item.tooltip.replace(/\{(\w+)(?::([+]?)\.(\d)f)?\}/g, (_, name, sign, decimals) => {
       if (name === "row") return panel.y.names[row];
       if (name === "column") return panel.x.names[column];
       const text = Number(value).toFixed(decimals);
@@ -125,7 +125,7 @@
     });
   }
 
-  // Bars in space as a drawing: cells from the back to the front, three faces each.
+  // Bars in 3D: cells from back to front, three faces each.
   function towers(panel, item, width, height) {
     const group = svg("g"), rows = item.values.length, columns = item.values[0].length;
     const across = Math.min((width - 40) / ((rows + columns) * 0.87), (height - 46) / ((rows + columns) * 0.5 + Math.max(rows, columns) * 0.62));
@@ -138,12 +138,12 @@
     group.append(svg("polygon", { points: [[0, 0], [columns, 0], [columns, rows], [0, rows]].map(([c, r]) => at(c, r, 0).join(",")).join(" "),
       fill: "none", stroke: "var(--line)" }));
     for (let back = 0; back < rows; back++) {
-      const row = rows - 1 - back;   // the first computed mode stands in front
+      const row = rows - 1 - back;   // the first computed mode is in front
       for (let column = 0; column < columns; column++) {
         const z = Math.max(item.values[row][column], 0.004), fill = modetune.scaled("viridis", z), e = 0.16;
         const [c0, c1, r0, r1] = [column + e, column + 1 - e, back + e, back + 1 - e];
         const cell = svg("g", { class: "cell" });
-        cell.told = told(item, panel, row, column);
+        cell.tooltip = cellText(item, panel, row, column);
         cell.cell = [row, column];
         cell.append(
           polygon([at(c0, r1, 0), at(c1, r1, 0), at(c1, r1, z), at(c0, r1, z)], fill, 0.82),
@@ -162,8 +162,8 @@
     return group;
   }
 
-  // chart: as told by `chart.py`; clicks call options.onCell(row, column, title of the panel) and
-  // options.onPoint(horizontal value). What is given back draws a chart that was changed.
+  // Draws a chart of `chart.py`; clicks call options.onCell(row, column, panel title) and
+  // options.onPoint(horizontal value). Returns a function that draws a changed chart.
   modetune.chart = (host, chart, options = {}) => {
     const zooms = new Map();
     let width = 0;
@@ -269,7 +269,7 @@
       item.values.forEach((row, i) => row.forEach((v, j) => {
         const shares = v === null ? [0.5, 0.5, 0.5] : modetune.scaled(item.scale, shareOf(v));
         const cell = svg("rect", { x: X(j) - cw / 2 + 0.5, y: Y(i) - ch / 2 + 0.5, width: Math.max(cw - 1, 0.5), height: Math.max(ch - 1, 0.5), fill: css(shares), class: "cell" });
-        cell.told = v === null ? "" : told(item, panel, i, j);
+        cell.tooltip = v === null ? "" : cellText(item, panel, i, j);
         cell.cell = [i, j];
         inner.append(cell);
         if (v !== null && item.numbered && cw >= 26 && ch >= 13 && Math.abs(v) >= ZERO) {
@@ -296,7 +296,7 @@
         const [x1, x2, y1, y2] = panel.sideways ? [X(0), X(v), Y(low), Y(high)] : [X(low), X(high), Y(0), Y(v)];
         const fill = ink(typeof item.colours === "string" ? item.colours : item.colours[i]);
         const cell = svg("rect", { x: Math.min(x1, x2), y: Math.min(y1, y2), width: Math.max(Math.abs(x2 - x1), 0.5), height: Math.max(Math.abs(y2 - y1), 0.5), fill });
-        cell.told = (item.name ? item.name + ", " : "") + names[i] + ": " + digits(Number(v.toPrecision(4))) +
+        cell.tooltip = (item.name ? item.name + ", " : "") + names[i] + ": " + digits(Number(v.toPrecision(4))) +
           (item.errors ? " ± " + digits(Number(item.errors[i].toPrecision(2))) : "");
         inner.append(cell);
         if (item.errors) {
@@ -304,7 +304,7 @@
           const ends = panel.sideways ? { x1: X(v - e), x2: X(v + e), y1: Y(middle), y2: Y(middle) } : { x1: X(middle), x2: X(middle), y1: Y(v - e), y2: Y(v + e) };
           inner.append(svg("line", { ...ends, stroke: "var(--ink)" }));
         }
-        if (item.written.length) inner.append(svg("text", { x: (x1 + x2) / 2, y: y2 - 4, "text-anchor": "middle", class: "tick" }, item.written[i]));
+        if (item.labels.length) inner.append(svg("text", { x: (x1 + x2) / 2, y: y2 - 4, "text-anchor": "middle", class: "tick" }, item.labels[i]));
       });
     }
 
@@ -323,16 +323,16 @@
       at.forEach(([x, y], i) => {
         if (!Number.isFinite(x) || !Number.isFinite(y)) return;
         if (item.mark) group.append(MARKS[item.mark](x, y, item.size / 2));
-        if (item.written.length) inner.append(svg("text", { x: x - 7, y: y - 5, "text-anchor": "end", class: "tick" }, item.written[i]));
-        if (item.told.length || (item.name && item.name !== "equal")) {
+        if (item.labels.length) inner.append(svg("text", { x: x - 7, y: y - 5, "text-anchor": "end", class: "tick" }, item.labels[i]));
+        if (item.tooltips.length || (item.name && item.name !== "equal")) {
           const name = panel.x.names.length ? panel.x.names[Math.round(item.x[i])] : digits(Number(item.x[i].toPrecision(5)));
-          made.targets.push([x, y, item.x[i], item.told[i] || `${item.name}, ${name}: ${digits(Number(item.y[i].toPrecision(4)))}`]);
+          made.targets.push([x, y, item.x[i], item.tooltips[i] || `${item.name}, ${name}: ${digits(Number(item.y[i].toPrecision(4)))}`]);
         }
       });
       inner.append(group);
     }
 
-    // A stretch of the horizontal axis is drawn out to the full width; a double click goes back.
+    // Dragging zooms the horizontal axis; a double click resets it.
     function zooming(made, place, room, w, x) {
       const key = chart.same_x ? 0 : place;
       const shade = svg("rect", { y: room.top, height: 1e4, width: 0, fill: "var(--accent)", opacity: 0.15 });
@@ -398,7 +398,7 @@
       const drawn = (left) => chart.panels.map((panel, place) => drawPanel(panel, place, wide, {
         left, ys, below: chart.same_x && place + across < chart.panels.length }));
       let panels = drawn(0);
-      // Axes that are the same begin at the same place: at the widest margin of all.
+      // Panels that share an axis have the widest margin of all.
       if ((chart.same_x || across === 1) && panels.length > 1) panels = drawn(Math.max(0, ...panels.map((made) => made.left || 0)));
       panels.forEach((made, place) => {
         const panel = chart.panels[place];
@@ -418,7 +418,7 @@
         };
         modetune.tip(made, (x, y, event) => {
           const hit = event.target.closest && (event.target.closest(".cell") || event.target);
-          return (hit && hit.told) || nearest(x, y)?.[3] || "";
+          return (hit && hit.tooltip) || nearest(x, y)?.[3] || "";
         });
         grid.append(made);
       });

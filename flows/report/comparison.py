@@ -15,20 +15,17 @@ from modetune.core.storage.campaign_record import CampaignRecord, IterationRecor
 from modetune.flows.report.mode_tables import mode_rows
 from modetune.flows.report.parameter_tables import parameter_rows
 
-#: Correlation of two estimated parameters from which the test can hardly distinguish them.
-ENTANGLED = 0.95
-#: A MAC that needs a look, and a share of the value that a standard error should stay below.
+#: Correlation from which the test can hardly distinguish two parameters.
+CORRELATED = 0.95
+#: A MAC below, and a relative standard error above these values is remarked on.
 DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
-#: By how much a MAC may fall before it is remarked.
+#: A larger decrease of MAC is remarked on.
 FALLEN_MAC = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class SensorAgreement:
-    """Coordinate MAC of each sensor, (n_sensors,), over the paired modes.
-
-    nodes, components: as the test names them.
-    """
+    """Coordinate MAC of each sensor, (n_sensors,), with the test's nodes and components."""
 
     nodes: Integers
     components: Integers
@@ -42,11 +39,11 @@ class SensorAgreement:
 
     @property
     def scale_foot(self) -> float:
-        """Where the scale of a COMAC starts: below the least, at 0.8 at most."""
+        """Lower end of a COMAC scale: below the minimum, at most 0.8."""
         return min(0.8, float(np.floor(10 * min(self.before.min(), self.after.min())) / 10))
 
     def least_of_points(self, nodes: Integers, values: Floats) -> list[float]:
-        """The least of each test point's sensors; values: those of before or of after."""
+        """Return the minimum over the sensors of each test point; values is before or after."""
         least = dict.fromkeys(nodes.tolist(), 1.0)
         for node, value in zip(self.nodes.tolist(), values.tolist(), strict=True):
             least[node] = min(least.get(node, 1.0), value)
@@ -54,9 +51,9 @@ class SensorAgreement:
 
 
 def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
-    """MAC (n_computed, n_measured) up to the last computed mode that is paired in the campaign.
+    """Return the MAC (n_computed, n_measured) up to the last paired computed mode.
 
-    Zero where a shape is zero at all sensors. Empty without measured shapes.
+    It is zero for a shape that vanishes at all sensors, and empty without measured shapes.
     """
     rows_c, rows_m = common_dofs(item.computed, record.test.modes)
     if rows_c.size == 0:
@@ -68,7 +65,7 @@ def mac_table(record: CampaignRecord, item: IterationRecord) -> Floats:
 
 
 def sensor_agreement(record: CampaignRecord) -> SensorAgreement | None:
-    """COMAC before and after, None without measured shapes or where a pair has no common scale."""
+    """Return COMAC before and after; None without shapes or if a pair has no common scale."""
     rows_m, _ = common_dofs(record.test.modes, record.best.computed)
     if rows_m.size == 0:
         return None
@@ -87,11 +84,11 @@ def _comac(record: CampaignRecord, item: IterationRecord) -> Floats:
 
 
 def fresh_matrices(record: CampaignRecord) -> tuple[tuple[int, Floats], ...]:
-    """Normalised frequency sensitivities at the first and the last set that a matrix was had at.
+    """Return normalised frequency sensitivities at the first and last points that have them.
 
-    Of each: the set's iteration and (df/f) / (dp/p), (n_modes, n_parameters). The residual holds
-    (d lambda / dp) / lambda_test, so with lambda = (2 pi f)^2 it is half of that times p, times
-    (f_test / f)^2.
+    Each is an iteration and (df/f) / (dp/p), (n_modes, n_parameters). The matrix of the residual is
+    (d lambda / dp) / lambda_test with lambda = (2 pi f)^2, so the result is half of that times p
+    times (f_test / f)^2.
     """
     found: dict[int, Floats] = {}
     for item in record.iterations[1:]:
@@ -107,15 +104,15 @@ def fresh_matrices(record: CampaignRecord) -> tuple[tuple[int, Floats], ...]:
 
 
 def residual_norm(item: IterationRecord) -> float:
-    """Length of that part of the residual that takes part in updating."""
+    """Return the norm of the residuals used in updating."""
     return float(np.linalg.norm(item.residual.values[item.residual.weights > 0.0]))
 
 
 def scaled_test(record: CampaignRecord, item: IterationRecord) -> tuple[Floats, Floats]:
-    """Paired shapes at the common sensors, test and model, (n_sensors, n_pairs) each.
+    """Return paired shapes of test and model at common sensors, (n_sensors, n_pairs) each.
 
-    The test's shape has length one and its own sign; the model's has the scale in which it is
-    nearest to the test's (the modal scale factor), so that both can be laid over each other.
+    The test's shapes have unit length; the model's are scaled by the modal scale factor, so that
+    both can be plotted over each other.
     """
     rows_m, rows_c = common_dofs(record.test.modes, item.computed)
     test = np.real(record.test.modes.mode_shapes[rows_m][:, item.pairing.measured])
@@ -124,39 +121,38 @@ def scaled_test(record: CampaignRecord, item: IterationRecord) -> tuple[Floats, 
 
 
 def model_scales(record: CampaignRecord, item: IterationRecord) -> Floats:
-    """What brings each computed shape nearest to the measured one of length one, (n_pairs,)."""
+    """Return the factors that scale computed shapes to measured ones of unit length, (n_pairs,)."""
     rows_m, rows_c = common_dofs(record.test.modes, item.computed)
     test = _unit(np.real(record.test.modes.mode_shapes[rows_m][:, item.pairing.measured]))
     model = np.real(item.computed.mode_shapes[rows_c][:, item.pairing.computed])
     squares = np.sum(model**2, axis=0)
     safe = np.where(squares > 0.0, squares, 1.0)
     signs = np.where(np.sum(test * model, axis=0) < 0.0, -1.0, 1.0)
-    # Of a shape with nothing in common the nearest scale is zero: it keeps its own length then.
+    # The modal scale factor of uncorrelated shapes is zero: use at least a tenth of unit length.
     return np.asarray(
         signs * np.fmax(np.abs(np.sum(test * model, axis=0)) / safe, 0.1 / np.sqrt(safe))
     )
 
 
 def remarks(record: CampaignRecord) -> tuple[str, ...]:
-    """What a careful engineer would look at before handing the model on, a sentence each."""
+    """Return what an engineer should check before using the model, one sentence each."""
     found = [*_mode_remarks(record), *_sensor_remarks(record)]
     at_bounds = record.parameters.at_bounds(record.updated)
     if at_bounds:
         found.append(
-            f"On a bound: {', '.join(at_bounds)}. The test would take the value further than the "
-            "campaign allows; see whether the bound or something else of the model is wrong."
+            f"On a bound: {', '.join(at_bounds)}. A better fit lies outside the bounds; check "
+            "whether the bound or another part of the model is wrong."
         )
     for row in parameter_rows(record):
         if row.value_error > DOUBTFUL_ERROR * abs(row.updated_value) > 0.0:
             share = row.value_error / abs(row.updated_value)
             found.append(
-                f"{row.name} is known to ±{100 * share:.0f} % only: these modes hardly depend on "
-                "it."
+                f"{row.name} is uncertain by ±{100 * share:.0f} %: these modes hardly depend on it."
             )
     found += [
-        f"{one} and {other} are entangled (correlation {value:+.2f}): the test tells their "
-        "combined effect, not each alone."
-        for one, other, value in entangled(record)
+        f"{one} and {other} are correlated ({value:+.2f}): the test determines their combined "
+        "effect, but not each value."
+        for one, other, value in correlated_pairs(record)
     ]
     return tuple(found)
 
@@ -166,33 +162,33 @@ def _mode_remarks(record: CampaignRecord) -> list[str]:
     for row in mode_rows(record):
         if abs(row.error_updated) > record.e1_frequency:
             found.append(
-                f"Mode {row.label} is {100 * row.error_updated:+.2f} % off in frequency, beyond "
-                f"the campaign's {100 * record.e1_frequency:g} %."
+                f"Mode {row.label} has a frequency error of {100 * row.error_updated:+.2f} %, "
+                f"above the tolerance of {100 * record.e1_frequency:g} %."
             )
         elif abs(row.error_updated) > abs(row.error_initial) + 1e-3:
             found.append(
-                f"Mode {row.label} was nearer to the test before "
-                f"({100 * row.error_initial:+.2f} %, now {100 * row.error_updated:+.2f} %)."
+                f"The frequency error of mode {row.label} grew from "
+                f"{100 * row.error_initial:+.2f} % to {100 * row.error_updated:+.2f} %."
             )
         if row.mac_updated < DOUBTFUL_MAC:
             found.append(
-                f"Mode {row.label} has a MAC of {row.mac_updated:.2f} only: {row.pairing}."
+                f"Mode {row.label} has a MAC of only {row.mac_updated:.2f}: {row.pairing}."
             )
         if row.mac_updated < row.mac_initial - FALLEN_MAC:
             found.append(
-                f"Mode {row.label} was nearer before in shape: its MAC fell from "
-                f"{row.mac_initial:.3f} to {row.mac_updated:.3f}."
+                f"The MAC of mode {row.label} fell from {row.mac_initial:.3f} to "
+                f"{row.mac_updated:.3f}."
             )
         if row.elastic_mode_initial != row.elastic_mode:
             found.append(
-                f"Test mode {row.label} is the model's elastic mode {row.elastic_mode} now; it "
-                f"was mode {row.elastic_mode_initial} before."
+                f"Test mode {row.label} is now paired with elastic mode {row.elastic_mode}, before "
+                f"updating with mode {row.elastic_mode_initial}."
             )
     return found
 
 
 def _sensor_remarks(record: CampaignRecord) -> list[str]:
-    """Sensors that stand out of what the others scatter by, turned round or exchanged."""
+    """Sensors with differences far above the scatter of the others: reversed or exchanged?"""
     agreement, item = sensor_agreement(record), record.best
     if agreement is None:
         return []
@@ -202,29 +198,29 @@ def _sensor_remarks(record: CampaignRecord) -> list[str]:
     spaces = [computed[:, [place]] for place in item.pairing.computed.tolist()]
     errors = sensor_errors(measured, spaces, computed)
     found = [
-        f"Sensors {' and '.join(agreement.labels[row] for row in error.rows)} move as each other "
-        f"in the model ({error.score:.0f} times the scatter of the others): swapped?"
+        f"Sensors {' and '.join(agreement.labels[row] for row in error.rows)} fit the model better "
+        f"when exchanged ({error.score:.0f} times the scatter of the others): check their channels."
         for error in errors
         if len(error.rows) == 2
     ]
-    turned = [
+    reversed_signs = [
         f"{agreement.labels[error.rows[0]]} ({error.score:.0f} times the scatter of the others)"
         for error in errors
         if len(error.rows) == 1
     ]
-    if turned:
-        one = len(turned) == 1
+    if reversed_signs:
+        one = len(reversed_signs) == 1
         found.append(
-            f"Sensor{'' if one else 's'} {', '.join(turned)} move{'s' if one else ''} against the "
-            "model: turned round?"
+            f"Sensor{'' if one else 's'} {', '.join(reversed_signs)} move{'s' if one else ''} "
+            f"opposite to the model: check {'its' if one else 'their'} sign."
         )
     return found
 
 
-def entangled(record: CampaignRecord) -> list[tuple[str, str, float]]:
-    """Pairs of parameters whose estimates are nearly one, and their correlation."""
+def correlated_pairs(record: CampaignRecord) -> list[tuple[str, str, float]]:
+    """Return pairs of parameters that the test hardly distinguishes, with their correlation."""
     names, table = record.parameters.names, record.correlation
-    rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(table)) > ENTANGLED, 1))
+    rows, columns = np.nonzero(np.triu(np.abs(np.nan_to_num(table)) > CORRELATED, 1))
     return [
         (names[row], names[column], float(table[row, column]))
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True)

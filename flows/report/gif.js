@@ -1,9 +1,9 @@
-// A film as GIF 89a: one palette for all pictures, each packed by LZW.
+// An animation as GIF 89a: one palette for all frames, LZW compression.
 "use strict";
 (() => {
   const DIGITS = 5;   // bits of red, green and blue by which colours are counted
 
-  // The 256 colours that occur most often, and which of them is nearest to each.
+  // The 256 most frequent colours, and the nearest of them for each colour.
   function palette(pictures) {
     const counts = new Uint32Array(1 << (3 * DIGITS));
     const key = (data, at) => (data[at] >> 3) << 10 | (data[at + 1] >> 3) << 5 | data[at + 2] >> 3;
@@ -63,7 +63,7 @@
     return Uint8Array.from(out);
   }
 
-  // pictures: of one size, {width, height, data} with four bytes a pixel; pause: between them, in s.
+  // pictures: frames {width, height, data} of one size with four bytes per pixel; pause: seconds.
   modetune.gif = (pictures, pause) => {
     const { width, height } = pictures[0], short = (n) => [n & 255, n >> 8];
     const { colours, rows } = palette(pictures.map((one) => one.data));
@@ -71,7 +71,7 @@
     const text = (letters) => [...letters].map((c) => c.charCodeAt(0));
     const parts = [Uint8Array.from([
       ...text("GIF89a"), ...short(width), ...short(height), 0xf7, 0, 0, ...table,
-      0x21, 0xff, 11, ...text("NETSCAPE2.0"), 3, 1, 0, 0, 0,   // again and again
+      0x21, 0xff, 11, ...text("NETSCAPE2.0"), 3, 1, 0, 0, 0,   // loop for ever
     ])];
     for (const { data } of pictures) {
       parts.push(Uint8Array.from([

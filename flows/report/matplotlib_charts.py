@@ -136,7 +136,7 @@ def _draw_curve(axes: Axes, item: Curve, span: tuple[float, float] | None) -> No
     # Names are below their points, and above points at the foot of the panel.
     foot = -np.inf if span is None else 0.9 * span[0] + 0.1 * span[1]
     up = np.where(np.asarray(item.y) > foot, -12.0, 10.0)
-    _write(axes, item.written, (item.x, item.y), up, "center")
+    _write(axes, item.labels, (item.x, item.y), up, "center")
 
 
 def _draw_bars(axes: Axes, panel: Panel, item: Bars, place: int, count: int) -> None:
@@ -146,7 +146,7 @@ def _draw_bars(axes: Axes, panel: Panel, item: Bars, place: int, count: int) -> 
     draw, errors = (axes.barh, "xerr") if panel.sideways else (axes.bar, "yerr")
     more: dict[str, Any] = {errors: item.errors, "label": plain(item.name) or None}
     draw(at, item.values, width, color=colours, error_kw={"linewidth": 0.8}, **more)
-    _write(axes, item.written, (at, item.values), np.full(len(at), 2.0), "baseline")
+    _write(axes, item.labels, (at, item.values), np.full(len(at), 2.0), "baseline")
 
 
 def _write(

@@ -1,4 +1,4 @@
-// The page: charts are drawn when they come into sight, all of them before printing.
+// The page: draws a chart when it scrolls into view, and all charts before printing.
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
@@ -7,7 +7,7 @@
   const drawn = new Set();
   const host = document.getElementById("shape-view");
 
-  // A cell of a MAC matrix shows that pair.
+  // A click on a cell of a MAC matrix shows that pair.
   function onCell(chart) {
     if (!modetune.player || !/^mac/.test(chart) || !data.scene.tests.length) return null;
     return (model, test, state) => {
@@ -22,7 +22,7 @@
     modetune.chart(place, data.charts[name], { onCell: onCell(name) });
   }
 
-  // COMAC on the sensors, before beside after.
+  // COMAC at the sensors, before and after side by side.
   function comac(place) {
     const { scene, comac: { foot, ...values } } = data, { unpack, rgb, colour } = modetune;
     const canvas = document.createElement("canvas"), space = modetune.space(canvas);
@@ -67,7 +67,7 @@
     modetune.drawAll();
   });
 
-  // Which section is being read.
+  // Marks the visible section in the contents.
   const links = new Map([...document.querySelectorAll("nav a")].map((a) => [a.hash.slice(1), a]));
   const reader = new IntersectionObserver((entries) => {
     for (const entry of entries) {

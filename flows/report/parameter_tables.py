@@ -1,4 +1,4 @@
-"""The tables of parameters: before and after, how far each can be trusted, where starts ended."""
+"""Tables of parameters: values before and after, trust in each, results of several starts."""
 
 from __future__ import annotations
 
@@ -22,33 +22,32 @@ SYSTEMS: dict[str, tuple[str, str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """A parameter before and after, as its values mean (`values`) and in the deck's units
-    (deck_value, updated_value, value_error).
+    """A parameter before and after, in its own values and in the deck's units.
 
-    standard_error: of its values; value_error: of the deck's number; test_share: 1 is the test
-    alone, 0 the prior alone, None where it was not judged, as of what an expression gives, whose
-    bounds are infinite.
+    initial, updated, standard_error and bounds are in the kind of `values`; deck_value,
+    updated_value and value_error in the deck's units. test_share is 1 if the test alone determines
+    the value, 0 if only the prior does, None if unknown or if an expression gives the value, which
+    then has infinite bounds.
     """
 
     name: Annotated[str, Column("parameter")]
     quantity: str
-    meaning: Annotated[str, Column("what it is")]
+    meaning: Annotated[str, Column("meaning")]
     deck_value: Annotated[float, Column("deck", form=".6g")]
     updated_value: Annotated[float, Column("updated", form=".6g")]
     unit: Annotated[str, Column("unit")]
-    values: Annotated[str, Column("values are")]
+    values: Annotated[str, Column("kind of values")]
     initial: Annotated[float, Column("parameter at start", form=".4g")]
-    updated: Annotated[float, Column("parameter now", form=".5g")]
+    updated: Annotated[float, Column("parameter updated", form=".5g")]
     change: Annotated[float, Column("change", "%", "+.2f")]
-    standard_error: Annotated[float, Column("standard error, of deck", "%", ".2f", "not known")]
-    value_error: Annotated[float, Column("standard error", "", ".3g", "not known")]
-    test_share: Annotated[float | None, Column("told by the test", "%", ".0f")]
+    standard_error: Annotated[float, Column("standard error, of deck", "%", ".2f", "unknown")]
+    value_error: Annotated[float, Column("standard error", "", ".3g", "unknown")]
+    test_share: Annotated[float | None, Column("from the test", "%", ".0f")]
     bounds: Annotated[tuple[float, float], Column("bounds", form="g")]
     on_bound: Annotated[bool, Column("on a bound")]
 
 
-#: What a terminal and a page show of parameters (a page tells the test's share where it tells how
-#: far all this can be trusted).
+#: Columns on a terminal, and on a page, which shows the test's share with the trust.
 BRIEF_PARAMETERS = (
     "name deck_value updated_value unit change standard_error test_share bounds on_bound"
 )
@@ -60,17 +59,17 @@ LONG_PARAMETERS = (
 )
 
 
-#: What a parameter's trust shows.
+#: Columns of the trust in parameters.
 TRUST = (
     Column("parameter", words=True, name="name"),
-    Column("share of the test", "%", ".0f", name="test_share"),
-    Column("standard error, of deck", "%", ".2g", "not known", name="standard_error"),
-    Column("what is to be said", words=True, name="sentence"),
+    Column("from the test", "%", ".0f", name="test_share"),
+    Column("standard error, of deck", "%", ".2g", "unknown", name="standard_error"),
+    Column("remark", words=True, name="sentence"),
 )
 
 
 def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
-    """Every parameter, in the campaign's order, then what expressions give."""
+    """Return a row for each parameter in the campaign's order, then for each expression."""
     stuck, trust = record.parameters.at_bounds(record.updated), record.trust
     first = record.iterations[0].parameters
     starts, ends = (dict(record.parameters.assigned(theta)) for theta in (first, record.updated))
@@ -107,7 +106,7 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
 
 
 def _dependent_errors(record: CampaignRecord) -> list[float]:
-    """Standard errors of what expressions give, by their slopes at the updated values."""
+    """Standard errors of expressions, from their derivatives at the updated values."""
     parameters, errors = record.parameters, record.standard_errors
     if not parameters.dependents or not np.isfinite(errors).all():
         return [np.nan] * len(parameters.dependents)
@@ -125,7 +124,7 @@ def _dependent_errors(record: CampaignRecord) -> list[float]:
 
 
 def parameter_table(record: CampaignRecord, only: str = "") -> Table:
-    """Values, bounds and standard errors; units and the test's shares where they are known."""
+    """Return the table of parameters, with units and shares of the test if known."""
     rows = parameter_rows(record)
     names = only.split() or [column.name for column in columns_of(ParameterRow)]
     if any(row.values != "relative" for row in rows):  # no one unit of all errors
@@ -142,7 +141,7 @@ def parameter_table(record: CampaignRecord, only: str = "") -> Table:
 
 
 def trust_table(trust: Trust) -> Table:
-    """Return how far each parameter can be trusted; a doubtful share of the test is outside."""
+    """Return the table of trust in each parameter; shares of doubtful ones are highlighted."""
     outside = [
         (place, "test_share") for place, item in enumerate(trust.parameters) if item.doubtful
     ]
@@ -150,24 +149,24 @@ def trust_table(trust: Trust) -> Table:
 
 
 def start_table(record: CampaignRecord) -> Table:
-    """Where the updates from several starts ended; empty where there was one."""
+    """Return the results of updates from several starts; empty after a single start."""
     spread = None if record.trust is None else record.trust.spread
     columns = (
         Column("start", words=True),
-        Column("place"),
+        Column("minimum"),
         Column("weighted misfit", form=".4g"),
         *(
             Column(item.name, form=".4f" if item.values == "relative" else ".5g")
             for item in record.parameters.parameters
         ),
-        Column("how it ended", words=True),
+        Column("status", words=True),
     )
     rows = (
         ()
         if spread is None
         else tuple(
             (
-                f"{start + 1}{' (the answer)' if start == spread.chosen else ''}",
+                f"{start + 1}{' (reported)' if start == spread.chosen else ''}",
                 int(spread.minima[start]) + 1 or None,
                 spread.misfits[start],
                 *record.parameters.shown(spread.updated[start]),
@@ -180,9 +179,10 @@ def start_table(record: CampaignRecord) -> Table:
 
 
 def unit_of(units: str, quantity: str) -> str:
-    """The unit of a parameter's quantity; empty where it has none, or the units are not known.
+    """Return the unit of a parameter's quantity; "" if it has none or is unknown.
 
-    A dimension of a section is a length; a spring may rotate, so its unit is unknown.
+    A dimension of a section is a length; the unit of a spring is unknown, because it may be a
+    rotational one.
     """
     if units not in SYSTEMS:
         return ""

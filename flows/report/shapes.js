@@ -1,11 +1,11 @@
-// Mode shapes of test and model: any test mode beside any mode of the model, in motion.
-// `modetune.shapes(host, scene)` builds controls and view into an empty element.
+// Animated mode shapes: any test mode together with any mode of the model.
+// `modetune.shapes(host, scene)` adds controls and view to an empty element.
 "use strict";
 (() => {
-  const STEPS = 32767;     // motions are whole numbers of these
-  const SHARE = 0.07;      // largest motion over the length of everything at 100 %
+  const STEPS = 32767;     // motions are integers, this one being the largest
+  const SHARE = 0.07;      // largest motion relative to the size of the structure, at 100 %
   const PERIOD = 1800;     // milliseconds
-  const FARTHEST = 2.5;    // a test that moves this often farther than the model is drawn no farther
+  const FARTHEST = 2.5;    // limit on the test's motion relative to the model's
   const FILM = { width: 640, pictures: 24 };
   const { unpack, colour, rgb } = modetune;
 
@@ -18,7 +18,7 @@
     return most;
   };
 
-  // Whether a point has the surface on all six sides: then the surface must not hide it.
+  // Whether a point is inside the surface, which then is drawn transparent.
   function hasInside(points, places, triangles, length) {
     const near = 1e-3 * length;
     const sides = (x, y, z) => {
@@ -50,7 +50,7 @@
     made.append(...children);
     return made;
   };
-  // What the panels of a view show, first and second.
+  // Contents of the first and second panel.
   modetune.captions = (...texts) => texts.map((textContent) => element("span", { className: "caption", textContent }));
   const hertz = (value) => value.toPrecision(5) + " Hz";
 
@@ -60,7 +60,7 @@
     const told = element("span", { className: "told", role: "status" });
     const space = modetune.space(canvas);
     if (!space) {
-      host.append(element("p", { textContent: "Shapes are drawn by WebGL 2, which is unavailable in this browser." }));
+      host.append(element("p", { textContent: "This browser has no WebGL 2, which is needed to draw mode shapes." }));
       return null;
     }
     const places = unpack(scene.coordinates, Float32Array), points = unpack(scene.points, Float32Array);
@@ -78,12 +78,12 @@
     const joints = hasSurface ? null : space.points(places, { panels: [1], size: 9 });
     const wire = hasTest ? space.lines(points, wires, { panels: [0], size: 3.5, through: true }) : null;
     const dots = hasTest ? space.points(points, { panels: [0], size: 9, through: true }) : null;
-    // A mode of the model whose surface is not known: its motion at the sensors.
+    // Without a surface, the mode's motion at the sensors.
     const ghostWire = hasTest ? space.lines(points, wires, { panels: [1], size: 3.5 }) : null;
     const ghosts = hasTest ? space.points(points, { panels: [1], size: 9 }) : null;
     const modelParts = [faces, outline, joints].filter(Boolean);
 
-    // Motions of the chosen pair; the test has the scale in which it is nearest to the model.
+    // Motions of the selected pair; the modal scale factor scales the test to the model.
     function chosen() {
       const { models, mac } = known(now.state);
       const test = scene.tests[now.test], model = models[now.model];
@@ -95,7 +95,7 @@
       if (length && least) {
         const common = product(tested, seen) / length;
         if (common < 0) sign = -1;
-        // Of shapes with nothing in common the nearest scale is zero: then a tenth is kept.
+        // The modal scale factor of uncorrelated shapes is zero: use at least a tenth.
         const own = Math.max(Math.abs(common) / least ** 2, 0.1 / least);
         tested = scaled(tested, 1 / (own * length));
         tested = scaled(tested, Math.min(1, FARTHEST / (largest(tested) || 1)));
@@ -192,8 +192,8 @@
     const boxes = {}, labels = {};
     [boxes.model, labels.model] = box("model", true);
     [boxes.test, labels.test] = box("test", hasTest);
-    [boxes.rest, labels.rest] = box("at rest", true);
-    [boxes.glass, labels.glass] = box("see through", inside);
+    [boxes.rest, labels.rest] = box("undeformed", true);
+    [boxes.glass, labels.glass] = box("transparent", inside);
     const views = ["isometric", "front", "side", "top"].map((name) =>
       button(name, () => space.view(name), name === "isometric"));
     space.onTurn = () => views.forEach((one) =>
@@ -210,7 +210,7 @@
     const files = group("pictures", button("PNG", async () => save(await space.png(), "png")),
       button("GIF", async (one) => {
         one.disabled = true;
-        await new Promise((done) => setTimeout(done, 30));   // the button shows it first
+        await new Promise((done) => setTimeout(done, 30));   // let the browser update the button
         save(film(), "gif");
         one.disabled = false;
       }));
@@ -235,7 +235,7 @@
       return modetune.gif(pictures, PERIOD / 1000 / FILM.pictures);
     }
 
-    // Shows a test mode, a mode of the model, a state; a test mode alone brings its partner.
+    // Shows a test mode, a mode of the model, a state; a test mode alone selects its partner too.
     function show({ test = now.test, model, state = now.state }) {
       const { models: found, pairs } = known(state);
       const pair = pairs.find(([one]) => one === test);

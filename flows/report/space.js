@@ -1,10 +1,10 @@
-// Surfaces, lines and points in space, in motion, by WebGL 2 alone.
-// A view is turned by dragging; it stays fitted into its canvas, whatever its width. Panels stand
-// side by side, on a phone one below the other.
+// Animated surfaces, lines and points in 3D with plain WebGL 2.
+// Dragging rotates a view, which always fits into its canvas. Panels are side by side, on a phone
+// one below the other.
 "use strict";
 const modetune = {};
 (() => {
-  const VIEWS = {   // azimuth and elevation of the eye, in degrees; z stands up
+  const VIEWS = {   // azimuth and elevation of the eye, in degrees; z is up
     front: [-90, 0], side: [0, 0], top: [-90, 90], isometric: [-55, 28],
   };
   const HEAD = `#version 300 es
@@ -56,7 +56,7 @@ const modetune = {};
 
   modetune.colour = (name) =>
     getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
-  // "#rrggbb" as three shares.
+  // "#rrggbb" as three numbers from 0 to 1.
   modetune.rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
   const narrow = window.matchMedia("(max-width: 600px)");   // as in page.css
   modetune.unpack = (text, Kind) =>
@@ -80,8 +80,8 @@ const modetune = {};
     return { made, at, slot: (name) => gl.getAttribLocation(made, name) };
   }
 
-  // A view into a canvas. Layers are made by `surface`, `lines` and `points`; each has `visible`,
-  // `panels` (which of the panels side by side show it) and `move(motion)`. Null without WebGL 2.
+  // A view in a canvas. `surface`, `lines` and `points` create layers; each has `visible`, `panels`
+  // (the panels that show it) and `move(motion)`. Null without WebGL 2.
   modetune.space = (canvas) => {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
     if (!gl) return null;
@@ -154,7 +154,7 @@ const modetune = {};
       made.count = ends.length / 2;
       return made;
     };
-    // tints: one colour of all, or three shares a point.
+    // tints: one colour, or three numbers per point.
     space.points = (places, options) => {
       const moving = buffer(new Float32Array(places.length)), tint = gl.createBuffer();
       const rest = buffer(places);
@@ -169,7 +169,7 @@ const modetune = {};
       return made;
     };
 
-    // Rows: to the right, up, and towards the eye.
+    // Rows: right, up, and towards the eye.
     function axes() {
       const [a, e] = [space.azimuth, space.elevation].map((degrees) => degrees * Math.PI / 180);
       const [ca, sa, ce, se] = [Math.cos(a), Math.sin(a), Math.cos(e), Math.sin(e)];
@@ -178,7 +178,7 @@ const modetune = {};
     const dot = (row, values, at) =>
       row[0] * values[at] + row[1] * values[at + 1] + row[2] * values[at + 2];
 
-    // The box, along the axes of the view, of everything in all its motion.
+    // The bounding box of all layers and motions, along the axes of the view.
     function box(turned) {
       const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
       for (const { places, motion } of layers) {
@@ -199,7 +199,7 @@ const modetune = {};
       const size = low.map((value, k) => Math.max(high[k] - value, 1e-30));
       const width = space.width / across(), height = space.height / down();
       const least = 1e-6 * Math.max(...size);
-      const each = 0.9 * space.zoom *   // pixels of a unit of length
+      const each = 0.9 * space.zoom *   // pixels per unit of length
         Math.min(width / Math.max(size[0], least), height / Math.max(size[1], least));
       return {
         turned, width, height,
@@ -226,8 +226,8 @@ const modetune = {};
       gl.bindVertexArray(null);
     }
 
-    // Surfaces that hide, lines, points; then surfaces that are seen through; then faintly what
-    // is behind (layers with `through`).
+    // Opaque surfaces, lines, points; then transparent surfaces; then, faintly, hidden parts of
+    // layers with `through`.
     space.draw = () => {
       if (!space.width || gl.isContextLost()) return;
       gl.enable(gl.SCISSOR_TEST);
@@ -255,7 +255,7 @@ const modetune = {};
       }
     };
     let asked = false;
-    space.ask = () => {   // one drawing a frame, however often it is asked for
+    space.ask = () => {   // at most one drawing per frame
       if (asked) return;
       asked = true;
       requestAnimationFrame(() => { asked = false; space.draw(); });
@@ -273,7 +273,7 @@ const modetune = {};
       space.onTurn();
       space.ask();
     };
-    // Where a place of a layer is on the canvas, in its panel.
+    // Position of a layer's point on the canvas, in its panel.
     space.where = (item, row, panel = 0, seen = camera()) => {
       const [x, y, towards] = [0, 1, 2].map((k) => {
         const value = dot(seen.turned[k], item.places, 3 * row) +
@@ -284,7 +284,7 @@ const modetune = {};
     };
     space.panel = (x, y) => Math.min(space.panels - 1,
       Math.floor(x / space.width * across()) + across() * Math.floor(y / space.height * down()));
-    // The row of the layer's point under the pointer, or -1; what lies in front hides what is behind.
+    // The row of the layer's point under the pointer, or -1; the nearest point wins.
     space.under = (item, x, y, near = 10) => {
       const panel = space.panel(x, y), seen = camera(), found = [];
       for (let row = 0; row < item.places.length / 3; row++) {
@@ -295,7 +295,7 @@ const modetune = {};
       const front = Math.max(...found.map((one) => one.towards)) - 0.04;
       return found.filter((one) => one.towards >= front).sort((a, b) => a.far - b.far)[0]?.row ?? -1;
     };
-    // What is drawn, as pixels of `width` columns, rows from the top.
+    // The drawing as pixels of `width` columns, rows from the top.
     space.pixels = (width) => {
       const kept = [space.width, space.height, space.grain];
       space.resize(kept[0], kept[1], width / kept[0]);
@@ -308,7 +308,7 @@ const modetune = {};
     };
     space.png = () => new Promise((done) => { space.draw(); canvas.toBlob(done, "image/png"); });
 
-    // Drag turns, with shift or two fingers it moves; wheel and fingers zoom once it has the focus.
+    // Dragging rotates, with shift or two fingers it moves; wheel and pinch zoom when in focus.
     const fingers = new Map();
     canvas.tabIndex = 0;
     canvas.addEventListener("pointerdown", (event) => {
@@ -360,7 +360,7 @@ const modetune = {};
       event.preventDefault();
     });
     canvas.addEventListener("webglcontextlost", () => canvas.replaceWith(
-      "The browser took the memory of this drawing back; load the page again to see it."));
+      "The browser released the memory of this picture; reload the page to see it."));
     new ResizeObserver(() => space.resize(canvas.clientWidth, canvas.clientHeight)).observe(canvas);
     space.view("isometric");
     return space;

@@ -71,7 +71,7 @@ def pair_chart(title: str, found: Correlation) -> Chart:
         for pair, one, other in zip(found.pairs, x, y, strict=True)
     )
     written = _numbered(found, np.stack([x, y], axis=1), 0.015 * largest)
-    points = Curve("pairs", x, y, AFTER, "", "o", told=told, written=written)
+    points = Curve("pairs", x, y, AFTER, "", "o", tooltips=told, labels=written)
     panel = Panel(
         (*lines, points),
         Axis(f"{found.first.label}, Hz", span=span),

@@ -120,4 +120,4 @@ def _poles(orders: tuple[OrderPoles, ...], stability: Stability) -> Curve:
         f"{frequency:.4f} Hz, damping {ratio:.3%}, order {order:.0f}"
         for frequency, ratio, order in zip(x, damping, y, strict=True)
     )
-    return Curve(name, x, y, colour, "", mark, size=size, told=told)
+    return Curve(name, x, y, colour, "", mark, size=size, tooltips=told)

@@ -111,8 +111,8 @@ def morris_chart(screening: Screening) -> Chart:
                 "",
                 "o",
                 size=6.0,
-                told=tuple(np.array(screening.names)[which].tolist()),
-                written=tuple(named[which].tolist()),
+                tooltips=tuple(np.array(screening.names)[which].tolist()),
+                labels=tuple(named[which].tolist()),
             )
             for name, which, colour in (("proposed", chosen, CHOSEN), ("left out", ~chosen, OUT))
             if which.any()
@@ -143,7 +143,7 @@ def selection_chart(screening: Screening) -> Chart:
         "",
         left,
         (OUT, *(CHOSEN,) * (left.size - 1)),
-        written=tuple(f"{value:.3g}" for value in left.tolist()),
+        labels=tuple(f"{value:.3g}" for value in left.tolist()),
     )
     names = ("none", *(f"+ {name}" for name in screening.choice.chosen[: left.size - 1]))
     panel = Panel((bars,), Axis(names=names, slant=30), Axis("remaining squared residual, %"))

@@ -132,7 +132,9 @@ def test_a_start_that_fits_several_keys_is_refused_with_them(bench: Any) -> None
     store = Store(bench.folder / "store")
     for key in ("abcd1" + "0" * 59, "abcd2" + "0" * 59):
         (store.folder / "jobs" / f"{key}.failed").mkdir(parents=True)
-    with pytest.raises(CampaignError, match=r"2 keys start with abcd \(abcd10000000, abcd20000000\)"):
+    with pytest.raises(
+        CampaignError, match=r"2 keys start with abcd \(abcd10000000, abcd20000000\)"
+    ):
         explain_job(store, "abcd")
 
 

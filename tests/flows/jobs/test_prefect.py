@@ -49,7 +49,7 @@ def test_artifacts_show_rounded_numbers_bounds_and_standard_errors(
     }
     assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in results)
     first = json.loads(str(results["chain-parameters"].data))[0]
-    assert (first["parameter"], first["parameter now"]) == ("k1", "1.2")
+    assert (first["parameter"], first["parameter updated"]) == ("k1", "1.2")
     assert first["bounds"] == "0.3, 3"
     assert float(first["standard error, of deck, %"]) > 0.0
     modes = json.loads(str(results["chain-frequencies"].data))

@@ -211,7 +211,7 @@ def test_a_click_on_a_cell_of_the_mac_shows_that_pair(opened: Opened) -> None:
 
 def test_test_and_model_stand_side_by_side_or_overlaid(opened: Opened) -> None:
     opened.to_shapes()
-    opened.page.get_by_label("at rest").uncheck()
+    opened.page.get_by_label("undeformed").uncheck()
     together = opened.value(INKED)
     opened.page.get_by_text("side by side", exact=True).click()
     left, right = opened.value(INKED)

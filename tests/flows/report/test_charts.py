@@ -20,7 +20,7 @@ STRANGE = "$x_$ <b>"
 
 def two_panels() -> Chart:
     x = np.array([1.0, 2.0, 3.0])
-    curve = Curve("before", x, 10.0**x, "#56B4E9", "-", "o", told=("one", "two", "<i>three"))
+    curve = Curve("before", x, 10.0**x, "#56B4E9", "-", "o", tooltips=("one", "two", "<i>three"))
     bars = Bars("before", np.array([1.0, -2.0]), "#56B4E9")
     return Chart(
         STRANGE,
@@ -69,7 +69,7 @@ def test_texts_are_not_taken_for_formulas_in_print_and_stay_as_they_are_for_the_
     names = [text.get_text() for text in matplotlib_figure(chart).axes[1].get_yticklabels()]
     assert names[1] == r"\$x_\$ <b>"
     first, second = told(chart)["panels"]
-    assert first["items"][0]["told"][2] == "<i>three"  # the page's script sets text, not markup
+    assert first["items"][0]["tooltips"][2] == "<i>three"  # the page's script sets text, not markup
     assert second["y"]["names"][1] == STRANGE
 
 

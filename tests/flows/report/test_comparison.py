@@ -75,14 +75,14 @@ def test_what_is_in_doubt_is_remarked(record: CampaignRecord) -> None:
     )
     said = " ".join(remarks(doubtful))
     assert "On a bound: t." in said  # 1.2 is its upper bound
-    assert "E is known to ±50 % only" in said
-    assert "E and t are entangled (correlation -0.99)" in said
+    assert "E is uncertain by ±50 %" in said
+    assert "E and t are correlated (-0.99)" in said
     assert "Mode" not in said
 
 
 def test_a_mode_outside_the_tolerance_is_remarked(record: CampaignRecord) -> None:
     said = " ".join(remarks(replace(record, e1_frequency=1e-4)))
-    assert "Mode 1 is +0.10 % off in frequency, beyond the campaign's 0.01 %." in said
+    assert "Mode 1 has a frequency error of +0.10 %, above the tolerance of 0.01 %." in said
 
 
 def test_model_and_test_move_together(record: CampaignRecord) -> None:
@@ -173,7 +173,7 @@ def test_a_sensor_that_looks_the_other_way_is_named(record: CampaignRecord) -> N
     assert found is not None
     (said,) = of_sensors(with_shapes(record, shapes))
     assert said.startswith(f"Sensor {found.labels[turned]} (")
-    assert said.endswith("of the others) moves against the model: turned round?")
+    assert said.endswith("of the others) moves opposite to the model: check its sign.")
     assert found.after[turned] > 0.99  # a sign alone does not show in the COMAC
 
 
@@ -190,8 +190,8 @@ def test_a_swapped_pair_of_sensors_is_named(record: CampaignRecord) -> None:
     assert found is not None
     (said,) = of_sensors(with_shapes(record, shapes))
     names = " and ".join(found.labels[place] for place in sorted((one, other)))
-    assert said.startswith(f"Sensors {names} move as each other in the model (")
-    assert said.endswith("): swapped?")
+    assert said.startswith(f"Sensors {names} fit the model better when exchanged (")
+    assert said.endswith("): check their channels.")
 
 
 def test_where_no_sensor_agrees_none_is_named(record: CampaignRecord) -> None:
@@ -206,8 +206,8 @@ def test_a_mac_that_fell_is_remarked(record: CampaignRecord) -> None:
     macs = first.pairing.mac - [0.04, 0.06, 0.0]  # the first falls by less than is remarked
     worse = replace(last, pairing=replace(last.pairing, mac=macs))
     said = " ".join(remarks(replace(record, iterations=(*record.iterations[:-1], worse))))
-    assert "Mode 2 was nearer before in shape" in said
-    assert "Mode 1 was nearer before in shape" not in said
+    assert "The MAC of mode 2 fell" in said
+    assert "The MAC of mode 1 fell" not in said
 
 
 def test_modes_are_called_by_their_configuration(record: CampaignRecord) -> None:
@@ -215,4 +215,4 @@ def test_modes_are_called_by_their_configuration(record: CampaignRecord) -> None
     joint = replace(record, test=test, configurations=("full", "full", "empty"))
     assert [row.label for row in mode_rows(joint)] == ["1 of full", "2 of full", "3 of empty"]
     said = " ".join(remarks(replace(joint, e1_frequency=1e-4)))
-    assert "Mode 3 of empty is +0.10 % off in frequency" in said
+    assert "Mode 3 of empty has a frequency error of +0.10 %" in said
