@@ -39,6 +39,7 @@ from modetune.flows.updating.record import CampaignRun, read_run
 
 if TYPE_CHECKING:
     from modetune.core.updating.job_results import ModalResult
+    from modetune.core.updating.verdict import FailOn
     from modetune.flows.studies.check.pre_check import PreCheckReport
     from modetune.flows.studies.correlate.correlation import Correlation
     from modetune.flows.studies.correlate.request import MassReduction
@@ -89,6 +90,7 @@ def update(
     runs: StrPath = "runs",
     *,
     starts: int | None = None,
+    fail_on: FailOn | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
@@ -96,6 +98,8 @@ def update(
     """Update a campaign's model until it agrees with its test, from all its `update.starts`.
 
     Writes record, updated deck and report to `runs/NAME`. starts: overrides `update.starts`.
+    fail_on: overrides `run.fail_on`; a verdict that it excludes makes the flow run fail and the
+    result's `exit_code` 6, and raises nothing.
     """
     found: CampaignRun = _found("update", locals())
     return found
@@ -149,6 +153,7 @@ def check(
     run: bool = True,
     against: None = None,
     record: None = None,
+    fail_on: None = None,
     state: ModelState = "updated",
     frequency_band: float = 0.01,
     mac_band: float = 0.05,
@@ -170,6 +175,7 @@ def check(
     run: bool = True,
     against: StrPath | CampaignRun,
     record: StrPath | CampaignRun | None = None,
+    fail_on: FailOn | None = None,
     state: ModelState = "updated",
     frequency_band: float = 0.01,
     mac_band: float = 0.05,
@@ -190,6 +196,7 @@ def check(
     run: bool = True,
     against: StrPath | CampaignRun | None = None,
     record: StrPath | CampaignRun | None = None,
+    fail_on: FailOn | None = None,
     state: ModelState = "updated",
     frequency_band: float = 0.01,
     mac_band: float = 0.05,
@@ -205,8 +212,9 @@ def check(
     test.
 
     run: whether to compute the model's modes. against: an earlier update, the baseline with which
-    the model is compared instead. record: another update, to compare instead of the model. state:
-    model of the baseline. frequency_band, mac_band: allowed increase of a relative frequency error,
+    the model is compared instead. record: another update, to compare instead of the model. fail_on:
+    verdicts of these updates that make the flow run fail, overrides `run.fail_on`. state: model of
+    the baseline. frequency_band, mac_band: allowed increase of a relative frequency error,
     and allowed decrease of a MAC. summary, junit: files for CI, in Markdown and XML.
     """
     given = locals()

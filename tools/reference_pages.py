@@ -90,7 +90,7 @@ modetune store prune --older 30d   # remove results by age and size
 modetune store forget KEY          # remove the result of one job
 # This installation
 modetune doctor                    # test the installation and its solvers
-modetune demo six-mass             # run a complete example
+modetune demo                      # run a complete example whose answer is known
 ```
 
 Every command ends with one of these exit codes ([causes and remedies](errors.md)):
@@ -102,8 +102,11 @@ Every command ends with one of these exit codes ([causes and remedies](errors.md
 | 3 | finished, but e1 is not met, or a check left its band |
 | 4 | the solver failed, or the modes do not allow the request |
 | 5 | the store or the record cannot be used |
+| 6 | e1 is met, but `--fail-on` excludes the [verdict](trust.md#the-verdict) |
 | 70 | a fault in modetune; the message names a file to send with a report |
 | 130 | stopped by the user (Ctrl-C, SIGTERM) |
+
+Code 3 precedes 6: an update that does not meet e1 ends with 3 whatever its verdict.
 
 With `--json`, standard output is always one JSON object, after a failure with `status`, `reason`
 and `exit_code`. Progress and messages go to standard error.

@@ -87,6 +87,7 @@ from modetune.core.surface import Surface
 from modetune.core.updating.parameter_fields import FieldAnswer
 from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust import Trust
+from modetune.core.updating.verdict import TrustVerdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +233,11 @@ class CampaignRecord:
     def best(self) -> IterationRecord:
         """The last accepted iteration, each being better than the one before: the answer."""
         return [iteration for iteration in self.iterations if iteration.accepted][-1]
+
+    @property
+    def verdict(self) -> TrustVerdict:
+        """How far the updated parameters can be trusted."""
+        return TrustVerdict.NOT_JUDGED if self.trust is None else self.trust.verdict
 
 
 CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 7)

@@ -12,6 +12,7 @@ A matched frequency proves little, so each parameter is asked questions, and eac
                 2001 advise), although the test, taken at its word, tells them apart?
     far         is it more than three of its deviations away from the deck?
     starts      did updates from other starts end elsewhere, and fit as well?
+    undetermined  is its standard error infinite, although no other flag doubts it?
     uncertain   is its change smaller than its standard error? That doubts nothing: it says that
                 the deck's value fits as well.
 
@@ -43,8 +44,8 @@ from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, ParameterSet
 from modetune.core.updating.identifiability import Identifiability, UnseenCombination
 from modetune.core.updating.parameter_steps import LCurve
+from modetune.core.updating.verdict import TrustVerdict
 
-Verdict = Literal["trusted", "trusted with reservations", "not to be trusted"]
 #: Where updating ended: at the least misfit, before it where e1 is met, or where it is not.
 Ended = Literal["least misfit", "good enough", "under way"]
 
@@ -104,9 +105,12 @@ class ParameterTrust:
         if self.clauses:
             return f"{self.name} {'; it '.join(self.clauses)}."
         error = f"to ±{100 * self.standard_error:.2g} %"
-        if not np.isfinite(self.standard_error):
-            error = "the rest depends on what was known beforehand"
         return f"{self.name} is told by the test ({100 * self.test_share:.0f} %), {error}."
+
+    @property
+    def error(self) -> float | None:
+        """The standard error; None on a bound, where the value does not scatter."""
+        return self.standard_error or None
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,17 +202,17 @@ class Trust:
         return tuple(item for item in self.parameters if item.flags)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> TrustVerdict:
         doubtful = [item for item in self.parameters if item.doubtful]
         if self.meaningless or self.unchecked or 2 * len(doubtful) > len(self.parameters):
-            return "not to be trusted"
+            return TrustVerdict.NOT_TRUSTED
         if any(set(item.flags) - NO_DOUBT == {"starts"} for item in doubtful):
-            return "not to be trusted"
+            return TrustVerdict.NOT_TRUSTED
         rivals = self.spread is not None and bool(self.spread.rivals)
         unsure = self.unseen or self.concerns or self.too_short or self.freedom <= 0
         if doubtful or rivals or unsure or not self.agrees:
-            return "trusted with reservations"
-        return "trusted"
+            return TrustVerdict.RESERVATIONS
+        return TrustVerdict.TRUSTED
 
 
 def with_spread(trust: Trust, spread: StartSpread) -> Trust:
@@ -278,6 +282,8 @@ def judge_parameters(
                 f"changed by {_change(scale, change)}, less than its standard error "
                 f"({_change(scale, error).replace('+', '±')}): the value it had fits as well"
             )
+        if not np.isfinite(error) and not set(said) - NO_DOUBT:
+            said["undetermined"] = "has no finite standard error: the test alone does not fix it"
         others = sorted({*hidden.get(place, ()), *alike.get(place, ())})
         judged.append(
             ParameterTrust(
@@ -432,10 +438,10 @@ def _unseen_sentence(names: tuple[str, ...], item: UnseenCombination) -> str:
     return f"{first} and {other} can only be told together: {means} is hardly noticed by the test."
 
 
-def _verdict_sentence(trust: Trust) -> str:
+def verdict_reasons(trust: Trust) -> tuple[str, ...]:
+    """Return why the parameters are not simply trusted, the gravest reason first."""
     doubtful = [item.name for item in trust.parameters if item.doubtful]
-    n, told = len(trust.parameters), trust.identifiability.n_told
-    reasons = []
+    n, reasons = len(trust.parameters), []
     if trust.meaningless:
         reasons.append(
             f"what is left is {trust.times_noise:.2g} times what noise explains, so standard "
@@ -458,7 +464,12 @@ def _verdict_sentence(trust: Trust) -> str:
         reasons.append("other starts fit as well with other values")
     if trust.concerns or trust.too_short:
         reasons.append("see below")
-    why = "; ".join(reasons) or "none in doubt"
+    return tuple(reasons)
+
+
+def _verdict_sentence(trust: Trust) -> str:
+    n, told = len(trust.parameters), trust.identifiability.n_told
+    why = "; ".join(verdict_reasons(trust)) or "none in doubt"
     count = f"{told:.1f} of {n} parameters" if n > 1 else f"{100 * told:.0f} % of the parameter"
     if n - told >= ALL:
         count = f"{count}, the prior the rest"

@@ -22,6 +22,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError
 from modetune.core.storage.files import machine_user
+from modetune.core.updating.verdict import FailOn
 from modetune.flows.responses.section import Name, Positive, Section, section_problems
 
 #: Environment variable with the path of a site file.
@@ -131,6 +132,9 @@ class SiteRun(Section):
     """The Dask cluster."""
     prefect: bool = True
     """Whether Prefect coordinates the run; if not, a plain thread pool does."""
+    fail_on: FailOn = "never"
+    """Verdicts that make an update whose e1 is met fail, with exit code 6 and a flow run of type
+    Failed: `not-trusted`; `doubt`, any verdict but trusted; or `never`."""
 
 
 class RunSection(SiteRun):

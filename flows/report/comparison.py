@@ -144,8 +144,9 @@ def remarks(record: CampaignRecord) -> tuple[str, ...]:
             "whether the bound or another part of the model is wrong."
         )
     for row in parameter_rows(record):
-        if row.value_error > DOUBTFUL_ERROR * abs(row.updated_value) > 0.0:
-            share = row.value_error / abs(row.updated_value)
+        error = row.value_error or 0.0
+        if error > DOUBTFUL_ERROR * abs(row.updated_value) > 0.0:
+            share = error / abs(row.updated_value)
             found.append(
                 f"{row.name} is uncertain by ±{100 * share:.0f} %: these modes hardly depend on it."
             )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modetune.core.storage.campaign_record import CampaignRecord
-from modetune.core.updating.trust import trust_sentences
+from modetune.core.updating.trust import trust_sentences, verdict_reasons
+from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.report.mode_tables import (
     ModeRow,
     mode_rows,
@@ -35,7 +36,12 @@ SAME_MAC = 5e-4
 
 
 #: The mood of each verdict on the parameters.
-MOOD = {"trusted": "good", "trusted with reservations": "fair", "not to be trusted": "outside"}
+MOOD = {
+    TrustVerdict.TRUSTED: "good",
+    TrustVerdict.RESERVATIONS: "fair",
+    TrustVerdict.NOT_TRUSTED: "outside",
+    TrustVerdict.NOT_JUDGED: "fair",
+}
 #: From best to worst; a model has the mood of its worst part.
 MOODS = ("good", "fair", "outside")
 #: At most this many parameters appear at the top: those that changed most.
@@ -66,11 +72,13 @@ class TrustWord:
 class Headline:
     """What the top of a report shows.
 
-    ending completes "The model of ... "; mood is good, fair or outside; text is a paragraph.
-    changed has the parameters that changed most and more_changed summarises the others; agrees has
-    the agreement with the test, agreement its mood; cost is a sentence.
+    line is the result in one line. ending completes "The model of ... "; mood is good, fair or
+    outside; text is a paragraph. changed has the parameters that changed most and more_changed
+    summarises the others; agrees has the agreement with the test, agreement its mood; cost is a
+    sentence.
     """
 
+    line: str
     ending: str
     mood: str
     text: str
@@ -88,12 +96,11 @@ def headline(record: CampaignRecord) -> Headline:
     ending, mood = _ending(record, rows)
     if unmatched_modes(record):
         mood = max(mood, "fair", key=MOODS.index)
-    if record.trust is not None and trust.mood != "good":
-        ending += f"; its parameters are {record.trust.verdict}"
     worst = max(mood, trust.mood, key=MOODS.index)
     changed, more = _changed(record)
     text = f"{_frequencies(rows)}{_shapes(rows)}{_parameters(record)}"
     return Headline(
+        first_line(record),
         ending,
         worst,
         " ".join(filter(None, (unmatched_sentence(record), text))),
@@ -104,6 +111,42 @@ def headline(record: CampaignRecord) -> Headline:
         trust,
         _cost(record),
     )
+
+
+def first_line(record: CampaignRecord) -> str:
+    """Return what an update found, how well the model agrees, and whether to use the values."""
+    rows, verdict = mode_rows(record), record.verdict
+    before, after = (
+        percent(max(abs(getattr(row, f"error_{when}")) for row in rows), sign=False)
+        for when in ("initial", "updated")
+    )
+    macs = [row.mac_updated for row in rows]
+    agreement = f"frequencies within {after}"
+    agreement += f" ({before} before)" if record.best.number else ""
+    agreement += f", MAC at least {min(macs):.3f}" if np.isfinite(macs).all() else ""
+    lost = len(unmatched_modes(record))
+    agreement += f", {_count(lost, 'measured mode')} without a pair" if lost else ""
+    agreement += "" if record.status == "converged" else ", e1 not met"
+    reasons = () if record.trust is None else verdict_reasons(record.trust)
+    why = f" ({'; '.join(reasons)})" if reasons else ""
+    found = f"{record.name}: {_found(record)}"
+    return f"{found}; {agreement}; {verdict}: {verdict.advice}{why}."
+
+
+def _found(record: CampaignRecord) -> str:
+    """The number of parameters that were updated, and the one that changed the most."""
+    names = record.parameters.names
+    if not record.best.number:
+        return "no parameter was changed"
+    count = f"{_count(len(names), 'parameter')} updated"
+    if any(item.values != "relative" for item in record.parameters.parameters):
+        return count  # shares of what may be zero mean nothing
+    change = record.updated / record.iterations[0].parameters - 1.0
+    most = int(np.argmax(np.abs(change)))
+    text = percent(float(change[most]), 1)
+    if len(names) == 1:
+        return f"{names[0]} changed by {text}"
+    return f"{count}, {names[most]} the most ({text})"
 
 
 def _trust(record: CampaignRecord) -> TrustWord:

@@ -25,9 +25,9 @@ class ParameterRow:
     """A parameter before and after, in its own values and in the deck's units.
 
     initial, updated, standard_error and bounds are in the kind of `values`; deck_value,
-    updated_value and value_error in the deck's units. test_share is 1 if the test alone determines
-    the value, 0 if only the prior does, None if unknown or if an expression gives the value, which
-    then has infinite bounds.
+    updated_value and value_error in the deck's units. Both errors are None on a bound, where the
+    value does not scatter. test_share is 1 if the test alone determines the value, 0 if only the
+    prior does, None if unknown or if an expression gives the value, which then has infinite bounds.
     """
 
     name: Annotated[str, Column("parameter")]
@@ -40,8 +40,10 @@ class ParameterRow:
     initial: Annotated[float, Column("parameter at start", form=".4g")]
     updated: Annotated[float, Column("parameter updated", form=".5g")]
     change: Annotated[float, Column("change", "%", "+.2f")]
-    standard_error: Annotated[float, Column("standard error, of deck", "%", ".2f", "unknown")]
-    value_error: Annotated[float, Column("standard error", "", ".3g", "unknown")]
+    standard_error: Annotated[
+        float | None, Column("standard error, of deck", "%", ".2f", "unknown")
+    ]
+    value_error: Annotated[float | None, Column("standard error", "", ".3g", "unknown")]
     test_share: Annotated[float | None, Column("from the test", "%", ".0f")]
     bounds: Annotated[tuple[float, float], Column("bounds", form="g")]
     on_bound: Annotated[bool, Column("on a bound")]
@@ -63,7 +65,7 @@ LONG_PARAMETERS = (
 TRUST = (
     Column("parameter", words=True, name="name"),
     Column("from the test", "%", ".0f", name="test_share"),
-    Column("standard error, of deck", "%", ".2g", "unknown", name="standard_error"),
+    Column("standard error, of deck", "%", ".2g", "unknown", name="error"),
     Column("remark", words=True, name="sentence"),
 )
 
@@ -93,8 +95,8 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
                 initial=item.shown(start),
                 updated=item.shown(ends[item]),
                 change=after / before - 1.0 if before else np.nan,
-                standard_error=item.scale * error,
-                value_error=abs(factor) * item.scale * error,
+                standard_error=item.scale * error or None,
+                value_error=abs(factor) * item.scale * error or None,
                 test_share=None
                 if trust is None or item.expression
                 else trust.parameters[place].test_share,
@@ -136,7 +138,9 @@ def parameter_table(record: CampaignRecord, only: str = "") -> Table:
         for name in names
         if name not in ("unit", "test_share") or any(getattr(row, name) for row in rows)
     ]
+    judged = () if record.trust is None else record.trust.parameters
     outside = [(place, "on_bound") for place, row in enumerate(rows) if row.on_bound]
+    outside += [(place, "test_share") for place, item in enumerate(judged) if item.doubtful]
     return table_of("Parameters", rows, ParameterRow, " ".join(known), outside=outside)
 
 

@@ -19,7 +19,9 @@ import numpy as np
 
 from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.updating.criteria import Tolerances
+from modetune.core.updating.trust import trust_sentences
 from modetune.flows.report.comparison import mac_table
+from modetune.flows.report.headline import first_line
 from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.mode_tables import mode_labels, mode_table
 from modetune.flows.report.parameter_tables import parameter_table
@@ -65,7 +67,8 @@ def progress_artifacts(
 
 
 def result_artifacts(record: CampaignRecord, folder: Path) -> list[Artifact]:
-    """Return frequencies, parameters, files and, with measured shapes, the MAC picture of a run."""
+    """Return result and files, frequencies, parameters and, with measured shapes, the MAC picture
+    of a run."""
     name = record.name
     artifacts = [
         table_artifact(
@@ -75,8 +78,8 @@ def result_artifacts(record: CampaignRecord, folder: Path) -> list[Artifact]:
         Artifact(
             "markdown",
             artifact_key(name, "record"),
-            f"Status and files of {name}",
-            _status_and_files(record, folder),
+            f"Result of {name}: {record.verdict}",
+            _result_and_files(record, folder),
         ),
     ]
     if record.test.has_shapes:
@@ -139,11 +142,14 @@ def _progress(record: IterationRecord, tolerances: Tolerances) -> float:
     return min(shares)
 
 
-def _status_and_files(record: CampaignRecord, folder: Path) -> str:
+def _result_and_files(record: CampaignRecord, folder: Path) -> str:
     place, runs = folder.resolve(), record.runs
     files = [*filter(Path.exists, [place / PAGE]), place / "campaign.h5"]
+    reasons = "" if record.trust is None else "\n\n".join(trust_sentences(record.trust))
     return (
-        f"**{record.status.replace('_', ' ')}**: {record.reason}\n\n"
+        f"**{first_line(record)}**\n\n"
+        + (f"{reasons}\n\n" if reasons else "")
+        + f"**{record.status.replace('_', ' ')}**: {record.reason}\n\n"
         f"{_links(files)}\n"
         f"* updated deck in `{place / 'updated'}`\n"
         f"* solver runs: {runs.modal} modal, {runs.sensitivity} sensitivity, {runs.reused} cached\n"

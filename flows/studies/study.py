@@ -42,6 +42,7 @@ from typer.models import ArgumentInfo, OptionInfo
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
+from modetune.core.updating.verdict import FailOn
 from modetune.flows.studies.result import StudyResult, near
 
 if TYPE_CHECKING:
@@ -105,6 +106,14 @@ At = Annotated[
     Option(help="NAME=VALUE of a parameter, relative to the deck; may be repeated."),
 ]
 Runs = Annotated[Path, Option(help="Folder for run folders.")]
+FailOnOption = Annotated[
+    FailOn | None,
+    Option(
+        "--fail-on",
+        help="Verdicts that end it with exit code 6: not-trusted, doubt (any but trusted) or "
+        "never; default: `run.fail_on`.",
+    ),
+]
 Figures = Annotated[Path | None, Option(help="Folder for figures (PNG).")]
 Page = Annotated[Path | None, Option(help="One HTML page with tables and charts (.html).")]
 

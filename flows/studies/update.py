@@ -11,7 +11,7 @@ import typer
 
 from modetune.core.errors import CampaignError
 from modetune.flows.studies.result import StudyResult, near
-from modetune.flows.studies.study import CampaignOptions, Runs, StudyContext, study
+from modetune.flows.studies.study import CampaignOptions, FailOnOption, Runs, StudyContext, study
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,6 +28,7 @@ class UpdateOptions(CampaignOptions):
     starts: Annotated[
         int | None, typer.Option(help="Number of starting points, as `--set update.starts=N`.")
     ] = None
+    fail_on: FailOnOption = None
     runs: Runs = Path("runs")
 
     def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
@@ -46,8 +47,13 @@ class UpdateOptions(CampaignOptions):
 
 
 @study(UpdateOptions)
-def update(on: StudyContext) -> StudyResult:
-    """Update the campaign's model until it agrees with its test."""
+def update(on: StudyContext, options: UpdateOptions) -> StudyResult:
+    """Update the campaign's model until it agrees with its test.
+
+    Exit code 3 if e1 is not met, whatever the verdict; otherwise 6 if --fail-on excludes the
+    verdict on the updated parameters.
+    """
+    from modetune.flows.report.headline import first_line
     from modetune.flows.report.mode_tables import mode_table
     from modetune.flows.report.parameter_tables import parameter_table
     from modetune.flows.updating.forecast import told_forecast
@@ -59,7 +65,8 @@ def update(on: StudyContext) -> StudyResult:
     progress.keep(on.folder)
     same = on.scheduled and is_same(campaign, on.folder)
     run = update_from_starts(campaign, on.folder, progress, forecast=progress.forecast)
-    record, converged = run.record, run.converged
+    run = replace(run, fail_on=options.fail_on or campaign.run.fail_on)
+    record, verdict = run.record, run.verdict
     status, reason = record.status, record.reason
     if same and not record.runs.modal + record.runs.sensitivity:
         reason = (
@@ -69,20 +76,33 @@ def update(on: StudyContext) -> StudyResult:
         )
         status = "unchanged"
     forecast = told_forecast(run.forecast) if run.forecast else None
+    excluded = run.exit_code == 6
+    failed = f"--fail-on {run.fail_on} excludes this verdict: {verdict}" if excluded else ""
+    sentence = " ".join([first_line(record), *filter(None, [f"{reason}.", failed])])
     return StudyResult(
         run,
-        reason,
-        {**summary(record, near(run.folder)), "forecast": forecast},
+        sentence,
+        {
+            **summary(record, near(run.folder)),
+            "fail_on": run.fail_on,
+            "exit_code": run.exit_code,
+            "forecast": forecast,
+        },
         [mode_table(record), parameter_table(record)],
         written=None,
-        doubts=[] if converged else [reason],
-        status=status,
-        exit_code=0 if converged else 3,
-        shown=partial(_show, run),
+        doubts=[sentence] if run.exit_code else [],
+        status=f"{status}, {verdict.brief}",
+        exit_code=run.exit_code,
+        shown=partial(_show, run, failed),
     )
 
 
-def _show(run: CampaignRun, console: Console) -> None:
+def _show(run: CampaignRun, failed: str, console: Console) -> None:
+    from rich.text import Text
+
+    from modetune.flows.report.tables import OUTSIDE, show
     from modetune.flows.updating.display import show_run
 
     show_run(console, replace(run, folder=near(run.folder), updated_deck=near(run.updated_deck)))
+    if failed:
+        show([Text(failed, style=OUTSIDE)], console)

@@ -18,6 +18,7 @@ from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
 from modetune.core.storage.campaign_record import RunCounts, read_record
+from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.report.tables import Column
@@ -44,13 +45,14 @@ class Agreement:
 
     modes: the test's, configuration and number; test_hz: (n_modes,); errors: (n_modes,), relative
     frequency errors; macs: (n_modes,), the better one of MAC and cluster MAC, NaN where no shape
-    was measured.
+    was measured; verdict: on the update that the model comes from.
     """
 
     modes: tuple[Mode, ...]
     test_hz: Floats
     errors: Floats
     macs: Floats
+    verdict: TrustVerdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +73,16 @@ class ModeCheck:
 
 @dataclass(frozen=True, slots=True)
 class BaselineCheck:
-    """What a check found. reason: empty where all modes stayed; runs: solver runs it took."""
+    """What a check found. reason: empty where all modes stayed; runs: solver runs it took.
+
+    verdict: on the updated parameters, of the record that was checked or else of the baseline.
+    """
 
     modes: tuple[ModeCheck, ...]
     reason: str
     remarks: tuple[str, ...]
     runs: RunCounts
+    verdict: TrustVerdict
 
     @property
     def within(self) -> bool:
@@ -94,6 +100,7 @@ def read_agreement(path: Path, state: State) -> Agreement:
         test_hz=record.test.modes.frequencies_hz[measured],
         errors=chosen.frequency_errors,
         macs=chosen.pairing.judged_mac,
+        verdict=record.verdict,
     )
 
 
@@ -112,10 +119,12 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
     try:
         evaluation, _ = evaluator.evaluate("deck's values", theta, None, alone=True)
     except LostMode as error:
-        return BaselineCheck((), f"a mode is lost: {error}", (), evaluator.runs)
+        lost = f"a mode is lost: {error}"
+        return BaselineCheck((), lost, (), evaluator.runs, baseline.verdict)
     for case in campaign.cases:
         engine_of(engine, campaign, case).save_text()
-    found = _compared(_agreement(campaign, evaluation), baseline, band, evaluator.runs)
+    now = _agreement(campaign, evaluation, baseline.verdict)
+    found = _compared(now, baseline, band, evaluator.runs)
     return found if found.within else _hinted(found, path, state, band)
 
 
@@ -163,13 +172,14 @@ def _other_modes(path: Path, baseline: Agreement, other: Path, modes: tuple[Mode
     )
 
 
-def _agreement(campaign: Campaign, evaluation: Evaluation) -> Agreement:
+def _agreement(campaign: Campaign, evaluation: Evaluation, verdict: TrustVerdict) -> Agreement:
     measured = evaluation.pairing.measured
     return Agreement(
         modes=_modes(campaign.test, campaign.configurations, measured),
         test_hz=campaign.test.modes.frequencies_hz[measured],
         errors=evaluation.errors,
         macs=evaluation.pairing.judged_mac,
+        verdict=verdict,
     )
 
 
@@ -197,7 +207,7 @@ def _compared(now: Agreement, before: Agreement, band: Band, runs: RunCounts) ->
             "the test's frequencies are not those of the baseline: errors are each of its own test",
         )
     )
-    return BaselineCheck(tuple(modes), reason, remarks, runs)
+    return BaselineCheck(tuple(modes), reason, remarks, runs, now.verdict)
 
 
 def _mode(
@@ -231,4 +241,4 @@ def _hinted(found: BaselineCheck, path: Path, state: State, band: Band) -> Basel
         "the deck is as near to its test as the model that the baseline's campaign started from: "
         "is it the deck before updating? Then compare with --state initial"
     )
-    return BaselineCheck(found.modes, found.reason, (*found.remarks, remark), found.runs)
+    return replace(found, remarks=(*found.remarks, remark))

@@ -212,7 +212,8 @@ def trust_summary(trust: Trust | None) -> Json:
         parameters=[
             json_object(
                 item,
-                "name test_share standard_error on_bound collinear_with flags sentence",
+                "name test_share on_bound collinear_with flags sentence",
+                standard_error=item.error,
                 to_least_misfit=way,
             )
             for item, way in zip(trust.parameters, trust.remaining.tolist(), strict=True)

@@ -18,6 +18,7 @@ from modetune.core.storage.campaign_record import CampaignRecord, IterationRecor
 from modetune.core.updating.trust import trust_sentences
 from modetune.flows.jobs.progress import JobProgress
 from modetune.flows.report.field_tables import brief_record
+from modetune.flows.report.headline import first_line
 from modetune.flows.report.iteration_tables import IterationRow, iteration_row
 from modetune.flows.report.mode_tables import (
     held_out_lines,
@@ -143,6 +144,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
     )
     licences = f", {runs.licence_s / 60.0:.1f} licence-minutes" if runs.licence_s else ""
     parts = [
+        first_line(record),
         mode_table(record),
         *filter(None, (*pairing_lines(record), unmatched_sentence(record))),
         response_table(record),

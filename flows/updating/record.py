@@ -37,11 +37,13 @@ from modetune.core.storage.campaign_record import (
 from modetune.core.storage.keys import Json
 from modetune.core.surface import Surface
 from modetune.core.updating.parameter_steps import parameter_covariance
+from modetune.core.updating.verdict import FailOn, TrustVerdict
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.field_tables import fields_json
 from modetune.flows.report.form_verdict import verdict_summary
+from modetune.flows.report.headline import first_line
 from modetune.flows.report.mode_tables import (
     ModeRow,
     held_out_rows,
@@ -177,6 +179,8 @@ def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:
     return json_object(
         record,
         "status reason",
+        headline=first_line(record),
+        verdict=record.verdict,
         ended_at=record.trust and record.trust.ended,
         iterations=record.iterations[-1].number,
         solver_runs=record.runs,
@@ -283,7 +287,7 @@ class CampaignRun:
     """A campaign's end: its record, its folder, the updated deck and the report's page there.
 
     forecast: what it was expected to cost, where that was asked for. page: None where there is
-    none.
+    none. fail_on: the verdicts that make the update fail.
     """
 
     record: CampaignRecord
@@ -291,11 +295,25 @@ class CampaignRun:
     updated_deck: Path
     forecast: Forecast | None = None
     page: Path | None = None
+    fail_on: FailOn = "never"
 
     @property
     def converged(self) -> bool:
         """Whether e1 is met."""
         return self.record.status == "converged"
+
+    @property
+    def verdict(self) -> TrustVerdict:
+        """How far the updated parameters can be trusted."""
+        return self.record.verdict
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of `modetune update`: 3 where e1 is not met, else 6 where `fail_on`
+        excludes the verdict, else 0."""
+        if not self.converged:
+            return 3
+        return 6 if self.verdict.excluded_by(self.fail_on) else 0
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -350,7 +368,7 @@ class CampaignRun:
         return "\n".join(self._lines())
 
     def _repr_html_(self) -> str:
-        head = "<br>".join(self._lines()[:2])
+        head = "<br>".join(self._lines()[:3])
         return f"<p>{head}</p>{self.modes.to_html()}{self.parameters.to_html()}"
 
     def _lines(self) -> list[str]:
@@ -359,7 +377,8 @@ class CampaignRun:
             np.abs(item.frequency_errors) for item in (record.iterations[0], record.best)
         )
         return [
-            f"{record.name}: {record.status}: {record.reason}",
+            first_line(record),
+            f"{record.status}: {record.reason}",
             f"frequency errors: mean {first.mean():.2%} -> {last.mean():.2%}, worst "
             f"{first.max():.2%} -> {last.max():.2%}; iterations: {record.iterations[-1].number}",
             "parameters: "

@@ -14,6 +14,7 @@ from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import (
+    FailOnOption,
     ModelPath,
     ModelState,
     SolverChoice,
@@ -67,6 +68,7 @@ class CheckOptions(StudyOptions):
             help="With --against: compare the updated model of this campaign.h5, and run no job."
         ),
     ] = None
+    fail_on: FailOnOption = None
 
     def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         if self.record is not None and self.against is None:
@@ -75,6 +77,8 @@ class CheckOptions(StudyOptions):
             )
         if self.against is not None and self.no_run and self.record is None:
             raise CampaignError("--against needs a solver run; with --record nothing is run")
+        if self.fail_on is not None and self.against is None:
+            raise CampaignError("--fail-on judges an update; name its record with --against")
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import open_model
 
@@ -106,13 +110,15 @@ def check(
     """Check campaign, test and model, with the jobs that updating runs first.
 
     Accepts a deck instead of a campaign file, alone or with the files of its test. With --against,
-    solves the model at the deck's values and compares it with a baseline.
+    solves the model at the deck's values and compares it with a baseline. Exit code 3 if a mode
+    leaves its band; otherwise 6 if --fail-on excludes the verdict of the record, or else of the
+    baseline.
     """
     if options.against is not None:
         from modetune.flows.updating.baseline import Band
 
         band = Band(frequency_band, mac_band)
-        end, outcome = _compared(on.campaign, options.against, options.record, state, band)
+        end, outcome = _compared(on.campaign, options, options.against, state, band)
     else:
         from modetune.flows.studies.check.pre_check import check_campaign
 
@@ -230,12 +236,13 @@ def _energy_table(report: PreCheckReport) -> Table:
 
 
 def _compared(
-    campaign: Campaign, baseline: Path, record: Path | None, state: ModelState, band: Band
+    campaign: Campaign, options: CheckOptions, baseline: Path, state: ModelState, band: Band
 ) -> tuple[StudyResult, CheckOutcome]:
     """Compare a campaign's model, or that of a record, with a baseline's."""
     from modetune.flows.report.ci_files import CheckItem, CheckOutcome
     from modetune.flows.updating.baseline import ModeCheck, check_deck, check_record
 
+    record, fail_on = options.record, options.fail_on or campaign.run.fail_on
     found = (
         check_deck(campaign, baseline, state, band)
         if record is None
@@ -244,28 +251,34 @@ def _compared(
     outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
     table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
     said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+    excluded = found.verdict.excluded_by(fail_on)
+    verdict = f"verdict of {baseline if record is None else record}: {found.verdict}"
+    verdict += f", which --fail-on {fail_on} excludes" if excluded else ""
+    remarks = (*found.remarks, verdict)
     end = StudyResult(
         found,
         said,
         json_object(
             found,
-            "reason modes remarks",
+            "reason modes remarks verdict",
             status="within" if found.within else "worse",
+            fail_on=fail_on,
             state=state,
             frequency_band=band.frequency,
             mac_band=band.mac,
             solver_runs=found.runs,
         ),
         [table],
-        [*found.remarks, said],
-        doubts=[] if found.within else [said],
-        status="within the band" if found.within else "worse",
-        exit_code=0 if found.within else 3,
+        [*remarks, said],
+        doubts=[*([] if found.within else [said]), *([verdict] * excluded)],
+        status=f"{'within the band' if found.within else 'worse'}, {found.verdict.brief}",
+        exit_code=3 if not found.within else 6 if excluded else 0,
     )
     items = [CheckItem(f"mode {mode.label}", ", ".join(mode.reasons)) for mode in found.modes]
     if not items:  # a mode was lost
         items = [CheckItem("modes", found.reason)]
-    return end, CheckOutcome(campaign.name, said, (table,), found.remarks, tuple(items))
+    items.append(CheckItem(f"verdict: {found.verdict}", verdict if excluded else ""))
+    return end, CheckOutcome(campaign.name, said, (table,), remarks, tuple(items))
 
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:

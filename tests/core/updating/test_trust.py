@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import h5py
 import numpy as np
@@ -20,9 +21,11 @@ from modetune.core.updating.trust import (
     combination_sentences,
     judge_parameters,
     trust_sentences,
+    verdict_reasons,
     with_concerns,
     with_spread,
 )
+from modetune.core.updating.verdict import FailOn, TrustVerdict
 
 
 def trust(
@@ -176,11 +179,47 @@ def test_a_value_far_from_the_deck_is_flagged_by_its_own_deviation() -> None:
 
 
 def test_a_change_within_its_error_is_said_and_doubts_nothing() -> None:
-    found = trust(WELL_POSED, [1.02, 1.02, 1.001, 1.2], [0.03, 0.01, 0.009, np.inf])
+    found = trust(WELL_POSED, [1.02, 1.02, 1.001, 1.2], [0.03, 0.01, 0.009, 0.001])
     # The third is within its error too, but both are below one percent.
     assert flags(found) == [("uncertain",), (), (), ()]
     assert "+2 %, less than its standard error (±3 %)" in found.parameters[0].sentence
     assert found.verdict == "trusted"
+
+
+def test_a_parameter_with_an_infinite_error_is_in_doubt_whatever_its_share() -> None:
+    found = trust(WELL_POSED, [1.1] * 4, [0.01, 0.01, 0.01, np.inf])
+    assert flags(found) == [(), (), (), ("undetermined",)]
+    assert found.verdict is TrustVerdict.RESERVATIONS
+    assert verdict_reasons(found) == ("1 of 4 parameters in doubt (d)",)
+    assert found.parameters[3].sentence == (
+        "d has no finite standard error: the test alone does not fix it."
+    )
+    # Another flag that doubts it is reason enough.
+    bound = trust(WELL_POSED, [1.1, 1.1, 1.1, 2.0], [0.01, 0.01, 0.01, np.inf])
+    assert flags(bound)[3] == ("on_bound", "far")
+
+
+def test_a_value_on_its_bound_has_no_error() -> None:
+    found = trust(WELL_POSED, [2.0, 1.1, 1.1, 1.1], [0.0, 0.01, 0.01, 0.01])
+    assert [item.error for item in found.parameters] == [None, 0.01, 0.01, 0.01]
+    # Short of the minimum misfit it has one: the distance to it.
+    short = trust(WELL_POSED, [2.0, 1.1, 1.1, 1.1], [0.02, 0.01, 0.01, 0.01])
+    assert short.parameters[0].error == 0.02
+
+
+@pytest.mark.parametrize(
+    ("verdict", "excluded"),
+    [
+        (TrustVerdict.TRUSTED, set()),
+        (TrustVerdict.RESERVATIONS, {"doubt"}),
+        (TrustVerdict.NOT_JUDGED, {"doubt"}),
+        (TrustVerdict.NOT_TRUSTED, {"doubt", "not-trusted"}),
+    ],
+)
+def test_a_verdict_is_excluded_by_doubt_or_only_where_it_is_not_to_be_trusted(
+    verdict: TrustVerdict, excluded: set[str]
+) -> None:
+    assert {name for name in get_args(FailOn) if verdict.excluded_by(name)} == excluded
 
 
 def test_a_column_that_could_not_be_computed_is_not_called_unseen() -> None:

@@ -241,6 +241,8 @@ def test_a_killed_campaign_goes_on_and_ends_on_the_same_bits(
     last = json.loads(run(folder, *arguments, MODETUNE_STORE=str(store)).stdout)
     assert last["parameters"] == whole["parameters"]
     assert last["modes"] == whole["modes"]
+    told = ("verdict", "headline", "trust", "exit_code")
+    assert [last[key] for key in told] == [whole[key] for key in told]
     counted = last["solver_runs"]
     assert counted["modal"] + counted["sensitivity"] == (
         whole["solver_runs"]["modal"] + whole["solver_runs"]["sensitivity"] - ran

@@ -28,7 +28,7 @@ SERVER = (b"jobs.prefect_server", b"prefect\0server")
 PATIENCE_S = 200.0
 ENDED = {"COMPLETED", "FAILED", "CRASHED", "CANCELLED"}
 #: States that a good update ends in.
-GOOD = ("Completed", "Converged", "Unchanged")
+GOOD = ("Completed", "Converged, trusted", "Unchanged, trusted")
 
 
 class Site:

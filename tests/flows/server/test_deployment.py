@@ -29,7 +29,7 @@ def test_a_deployed_campaign_runs_and_reports_when_nothing_changed(site: Site) -
     summary = json.loads(deployed.stdout)
     assert (summary["deployment"], summary["pool"]) == ("update/six-mass", "modetune")
     first = site.end(site.due())
-    assert (first["name"], first["state_name"]) == ("six-mass", "Converged")
+    assert (first["name"], first["state_name"]) == ("six-mass", "Converged, trusted")
     of_run = {"flow_run_id": {"any_": [first["id"]]}}
     found = site.ask("/artifacts/filter", {"artifacts": of_run})
     assert {item["key"] for item in found} == {
@@ -39,7 +39,7 @@ def test_a_deployed_campaign_runs_and_reports_when_nothing_changed(site: Site) -
     logs = site.ask("/logs/filter", {"logs": of_run})
     assert any("iteration 1" in line["message"] for line in logs)
     second = site.end(site.due())
-    assert second["state_name"] == "Unchanged"
+    assert second["state_name"] == "Unchanged, trusted"
     assert "no solver run" in second["state"]["message"]
     with h5py.File(site.folder / "runs" / "six-mass" / "campaign.h5") as file:
         assert file["runs"].attrs["modal"] == 5  # the campaign's cost, not that of its second run
@@ -101,7 +101,7 @@ def test_serve_deploys_and_works_until_it_is_ended(site: Site) -> None:
     assert eventually(lambda: _is_deployed(site))
     run = site.due("update/served")
     found, _ = site.wait(run, lambda run: run["state_type"] == "COMPLETED")
-    assert found["state_name"] in ("Converged", "Unchanged")
+    assert found["state_name"] in ("Converged, trusted", "Unchanged, trusted")
     server.terminate()
     text = server.communicate(timeout=60.0)[1]
     assert (server.returncode, "the schedule is paused" in text) == (130, True)

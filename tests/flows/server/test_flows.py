@@ -61,6 +61,10 @@ class Served:
     def runs(self) -> Any:
         return api_of(self.home).post("/flow_runs/filter", {})
 
+    def newest(self) -> Any:
+        """The run that was made last."""
+        return max(self.runs(), key=lambda run: str(run["created"]))
+
     def tasks(self, run: str) -> list[dict[str, Any]]:
         of_run = {"flow_runs": {"id": {"any_": [run]}}, "sort": "EXPECTED_START_TIME_ASC"}
         found: list[dict[str, Any]] = []
@@ -100,6 +104,24 @@ def test_a_solver_that_fails_once_is_run_again_by_prefect(served: Served) -> Non
     assert (first["run_count"], first["state_name"]) == (2, "Completed")
     assert {task["run_count"] for task in tasks if task is not first} == {1}
     assert not end.remark
+
+
+def test_the_state_of_a_run_carries_the_verdict(served: Served) -> None:
+    """Two springs from one frequency: it agrees, and cannot be trusted."""
+    campaign = served.bench.campaign(TRUTH, modes=(1,))
+    end, _ = served.update(campaign)
+    assert end.found.record.status == "converged"
+    kept = served.newest()
+    assert (kept["state_name"], kept["state_type"]) == ("Converged, not trusted", "COMPLETED")
+    assert kept["state"]["message"].startswith("chain: 2 parameters updated, ")
+    failing = replace(campaign, run=campaign.run.model_copy(update={"fail_on": "not-trusted"}))
+    end, _ = served.update(failing)
+    assert end.exit_code == 6
+    failed = served.newest()
+    assert (failed["state_name"], failed["state_type"]) == ("Converged, not trusted", "FAILED")
+    assert "excludes this verdict" in failed["state"]["message"]
+    end, _ = served.update(served.bench.campaign(TRUTH), "trusted")
+    assert served.newest()["state_name"] == "Converged, trusted"
 
 
 def test_edges_lead_from_modes_by_columns_and_the_step_to_the_next_modes(served: Served) -> None:
@@ -177,7 +199,7 @@ def test_a_study_inside_a_users_flow_uses_its_runner(
         nightly()
     assert any(name.endswith("modal") for name in begun)
     run = next(run for run in served.runs() if run["name"] == "six-mass")
-    assert (run["state_name"], run["parent_task_run_id"] is None) == ("Converged", False)
+    assert (run["state_name"], run["parent_task_run_id"] is None) == ("Converged, trusted", False)
     assert {task["name"] for task in served.tasks(run["id"])} >= set(begun)
 
 
