@@ -36,7 +36,7 @@ def test_numbers_are_compared_as_they_are_printed(shown: str, other: str, same: 
     assert printed.alike(shown, other) is same
 
 
-@pytest.mark.timeout(900)  # the first screen of the README is the fine aircraft's
+@pytest.mark.timeout(900)  # the gallery updates the fine aircraft
 @pytest.mark.parametrize("page", ["../README.md", "gallery.md", "bracket.md"])
 def test_a_page_shows_what_is_printed(page: str) -> None:
     found = list(printed.differences(DOCS / page))
