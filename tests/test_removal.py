@@ -60,7 +60,7 @@ def succeeds(rest: Path, *arguments: str) -> str:
 
 
 def test_help_shows_the_other_commands(rest: Path) -> None:
-    text = succeeds(rest, "-m", "modetune", "--help")
+    text = "".join(succeeds(rest, "-m", "modetune", *group, "--help") for group in ([], ["model"]))
     shown = {words[1] for line in text.splitlines() if len(words := line.split()) > 2}
     assert set(STUDIES) - {"localise"} <= shown
     assert "localise" not in shown

@@ -281,7 +281,7 @@ def _option(parameter: Any) -> str:
 
 
 def _word(annotation: Any) -> str:
-    """What stands for an option's value."""
+    """Return the placeholder of an option's value."""
     while arguments := get_args(annotation):
         annotation = arguments[0]
     return WORDS.get(annotation, "TEXT")

@@ -1,4 +1,4 @@
-"""The command of a study, derived from its definition, and its options as they are typed."""
+"""The command of a study, derived from its definition."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import REQUIRED, Study, StudyParameter
 
-#: Options of every command that are no parameters of its study, and those that `deploy` has itself.
+#: Options of commands that are no parameters of a study, or that `server deploy` has itself.
 NOT_THERE = ("settings", "runs", "as_json", "no_prefect", "dry_run")
-#: What a wrong command line raises; typer has no name for it that all its versions share.
+#: The error of a wrong command line; typer's versions share no name for it.
 WRONG: Any = typer.BadParameter.__bases__[0]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the jobs without running them.")]
 
@@ -27,9 +27,9 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="List the jobs without r
 def command_of(
     study: Study, show_plan: Callable[[Mapping[str, Any], bool], None] | None = None
 ) -> Callable[..., None]:
-    """The command of a study.
+    """Return the command of a study.
 
-    show_plan: what `--dry-run` does with checked parameters, as JSON or for people.
+    show_plan: prints the plan of `--dry-run` for checked parameters, as JSON or as text.
     """
 
     def command(
@@ -70,7 +70,7 @@ def run_study(study: Study, parameters: Mapping[str, Any], no_prefect: bool) -> 
 
 
 def parse_study(line: str) -> tuple[Study, dict[str, Any]]:
-    """A study as it is typed after `modetune`, without its campaign, and its parameters.
+    """Return the study and the parameters of a line such as "screen --method morris".
 
     Raises CampaignError.
     """
@@ -83,9 +83,9 @@ def parse_study(line: str) -> tuple[Study, dict[str, Any]]:
 
 
 def parse_options(study: Study, words: Sequence[str]) -> dict[str, Any]:
-    """The parameters that typed options name, paths absolute; words: all but the campaign.
+    """Return the parameters of typed options, without the campaign, with absolute paths.
 
-    Raises CampaignError for options that are wrong or no parameters of the study.
+    Raises CampaignError for options that are wrong or not parameters of the study.
     """
     app = typer.Typer(add_completion=False)
     app.command(study.name)(command_of(study, lambda parameters, as_json: None))
@@ -106,13 +106,13 @@ def parse_options(study: Study, words: Sequence[str]) -> dict[str, Any]:
 
 
 def _is_typed(context: Any, name: str) -> bool:
-    """Whether an option is on the command line, and not a default."""
+    """Return whether an option was typed, and is not a default."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
 def _parameters(study: Study, typed: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of what was typed. Raises CampaignError."""
+    """Return the parameters of typed options. Raises CampaignError."""
     known = {item.name: item for item in study.fields}
     return {name: _read(known[name], value) for name, value in typed.items()}
 
@@ -126,7 +126,7 @@ def _read(item: StudyParameter, value: Any) -> Any:
 
 
 def _typed(item: StudyParameter) -> inspect.Parameter:
-    """A parameter as typer reads it: choices, and what has a reader, are texts."""
+    """Return a parameter for typer: choices and parameters with a reader are texts."""
     kind, default = item.kind, item.default
     if item.reader is not None or item.choices:
         optional = default is not REQUIRED and not isinstance(default, str)

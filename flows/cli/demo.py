@@ -1,4 +1,4 @@
-"""`modetune demo`: a case of configs/, from its files to its findings.
+"""`modetune demo`: run a case of configs/ and compare it with its source.
 
 Heavy packages are imported where they are needed.
 """
@@ -80,7 +80,7 @@ def demo(
 
 
 def _identify_modes(folder: Path) -> None:
-    """Make lab.unv as the lab sends it, and identify modes.csv from it."""
+    """Write lab.unv as the lab delivers it, and identify modes.csv from it."""
     from modetune.adapters.test_files.measurements import read_measurement
     from modetune.configs.garteur.lab import BAND_HZ, write_lab
     from modetune.flows.studies.identify.identification import (
@@ -135,7 +135,7 @@ def _judge_six_mass(run: CampaignRun, folder: Path) -> CaseVerdict:
 
 
 def _figures(result: Outcome, folder: Path) -> list[Path]:
-    """An outcome's MAC, frequencies, and the receptances that the thesis shows."""
+    """Plot an outcome's MAC, frequencies, and the receptances shown in the thesis."""
     from modetune.configs.six_mass.methods import EXCITATION_HZ
     from modetune.flows.report.campaign_charts import frequencies, mac_towers, responses
     from modetune.flows.report.matplotlib_charts import save
@@ -180,7 +180,7 @@ def _show(found: CaseVerdict) -> None:
 
 #: Demos that run as Prefect flows; the others need no server.
 WITH_PREFECT = ("mast", "garteur")
-#: Of each demo: its case in configs/, the campaign there, and what judges the run.
+#: Case in configs/, campaign and assessment of each demo.
 DEMOS = {
     "mast": ("mast", "mast.yaml", _judge_mast),
     "garteur": ("garteur", "thesis.yaml", _judge_garteur),

@@ -46,17 +46,17 @@ def deploy(
     if as_json:
         typer.echo(json.dumps(summary))
         return
-    when = f"at `{cron}` ({timezone})" if cron else "when asked"
+    when = f"at `{cron}` ({timezone})" if cron else "on request"
     typer.echo(
-        f"deployed as {summary['deployment']} on {server.pages}; it runs {when}, once a worker is "
-        f"there:\n  modetune server worker --pool {pool}"
+        f"deployed as {summary['deployment']} on {server.pages}; it runs {when}, as soon as a "
+        f"worker is running:\n  modetune server worker --pool {pool}"
     )
 
 
 def deployable(
     line: str, campaign_file: Path, settings: list[str] | None, runs: Path
 ) -> tuple[Study, dict[str, Any], str]:
-    """Return a study as typed, its parameters and the campaign's name. Raises CampaignError."""
+    """Return the study of a line, its parameters and the campaign's name. Raises CampaignError."""
     from modetune.flows.cli.command import parse_study
     from modetune.flows.updating.forecast import Unwatched
 

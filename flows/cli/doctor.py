@@ -1,4 +1,4 @@
-"""`modetune doctor`: what is installed, and whether solvers do here what campaigns rely on."""
+"""`modetune doctor`: test the installation and the solver features that campaigns need."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def doctor(
         typer.echo(line.text, err=as_json)
 
     with (
-        stoppable("stopped; the same command begins anew"),
-        terminal(stderr=True).status("looking") as status,  # nothing where it is not a terminal
+        stoppable("stopped; the same command starts from the beginning"),
+        terminal(stderr=True).status("testing") as status,  # nothing where it is not a terminal
     ):
         report = run_doctor(solver, chosen, campaign_file, tell, status.update)
     told = report.to_json(datetime.now(UTC))
@@ -67,7 +67,7 @@ def doctor(
     if as_json:
         typer.echo(json.dumps({**told, "file": str(file)}))
     else:
-        typer.echo(f"{_counted(report)}; written: {file}, which holds no names of people or hosts")
+        typer.echo(f"{_counted(report)}; written: {file}, without names of people or hosts")
     raise typer.Exit(report.exit_code)
 
 

@@ -1,4 +1,4 @@
-"""`modetune store explain`: what a job is, and why it was or would be run.
+"""`modetune store explain`: the inputs of a job, and why it ran or would run.
 
 Heavy packages are imported where they are needed.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modetune.flows.jobs.job_difference import JobDescription, Nearest
     from modetune.flows.jobs.lookup import Explanation
 
-#: Digits of a key that are shown.
+#: Number of digits of a key to print.
 SHORT = 12
 
 
@@ -41,21 +41,16 @@ def explain(
         found = explain_unrun(campaign, start)
     if found is None:
         raise CampaignError(
-            f"nothing is known of a job {start}...: {place.folder} has no result and no job "
-            "folder of it"
-            + (
-                ""
-                if campaign
-                else "; a campaign file as --store tells of jobs that are still to be run"
-            )
+            f"there is no job {start}...: {place.folder} has no result or job folder of it"
+            + ("" if campaign else "; give a campaign file as --store to include its future jobs")
         )
     print_result(_told(found), [f"{heading:9}{text}" for heading, text in _lines(found)], as_json)
 
 
 def nearest_line(found: Nearest | None) -> str:
-    """The nearest result, for people."""
+    """Return the nearest result and its differences, in a line."""
     if found is None:
-        return "nothing is stored that it could be compared with"
+        return "the store has no result to compare it with"
     return f"nearest {found.key[:SHORT]}: {'; '.join(found.differences)}"
 
 
@@ -63,7 +58,7 @@ def _lines(found: Explanation) -> list[tuple[str, str]]:
     from modetune.flows.jobs.job_difference import describe
 
     lines = [("job", found.key), ("state", found.state)]
-    lines += describe(found.job) if found.job else [("what", "not known: no note is with it")]
+    lines += describe(found.job) if found.job else [("what", "unknown: the job has no note")]
     if found.wall_s is not None:
         lines.append(("took", f"{found.wall_s:.1f} s"))
     if found.written_s is not None:
@@ -87,7 +82,7 @@ def _told(found: Explanation) -> dict[str, Json]:
 
 
 def job_json(job: JobDescription | None) -> dict[str, Json] | None:
-    """A job for machines."""
+    """Return the JSON object of a job."""
     if job is None:
         return None
     note = job.note

@@ -1,4 +1,4 @@
-"""`modetune identify`: modes from measured response functions."""
+"""`modetune identify`: identify modes from measured response functions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from modetune.flows.studies.identify.measured_functions import SpectraSettings
     from modetune.flows.studies.identify.operational_modes import OperationalModes
 
-#: Functions that are named as the worst.
+#: Number of worst functions to list.
 WORST = 5
 
 
@@ -118,7 +118,7 @@ def _spectra(estimator: str | None, segment: float | None, window: str | None) -
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedMode:
-    """An identified mode; largest_mac: with another one of them."""
+    """An identified mode; largest_mac: the largest MAC with another identified mode."""
 
     number: Annotated[int, Column("mode")]
     frequency_hz: Annotated[float, Column("frequency", "Hz", ".4f")]
@@ -147,7 +147,7 @@ def _modes(found: Identification | OperationalModes) -> list[IdentifiedMode]:
 def _fit(
     found: Identification | OperationalModes, figures: tuple[Path, ...]
 ) -> tuple[dict[str, Json], list[str]]:
-    """Return what the JSON object has of response functions, and their fit in a sentence."""
+    """Return the JSON keys of response functions, and their fit in a sentence."""
     from modetune.flows.studies.identify.identification import Identification
 
     about = json_object(normalisation=found.modes.modes.normalisation)
@@ -165,7 +165,7 @@ def _fit(
         frac={"mean": frac.mean(), "least": frac.min(), "worst": worst},
         figures=figures,
     )
-    fit = f"FRAC of {frac.size} functions: mean {frac.mean():.4f}, least {frac.min():.4f} at "
+    fit = f"FRAC of {frac.size} functions: mean {frac.mean():.4f}, minimum {frac.min():.4f} at "
     return about, [fit + str(worst[0]["function"])]
 
 
@@ -175,5 +175,5 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if not numbers or not all(0.0 <= number < math.inf for number in numbers):
-        raise CampaignError(f"{option} requires numbers with commas between, not {text!r}")
+        raise CampaignError(f"{option} requires numbers separated by commas, not {text!r}")
     return numbers

@@ -71,12 +71,12 @@ def summary(draft: Draft) -> dict[str, Json]:
 
 
 def _lines(draft: Draft) -> list[str]:
-    """What was found and what to do next, for people."""
+    """Return what the draft contains and what to do next."""
     sketch, test = draft.sketch, draft.test
     how = f", which {sketch.by_solver}" if sketch.by_solver else ""
     said = [f"model    {sketch.deck}, on {sketch.name}{how}"]
     if sketch.units is None:
-        said.append(f"units    NOT KNOWN ({sketch.by_units}): name them in the file")
+        said.append(f"units    UNKNOWN ({sketch.by_units}): enter them in the file")
     else:
         why = f"; guessed: {sketch.by_units}" if sketch.by_units else ""
         said.append(f"units    {sketch.units}{why}")
@@ -92,6 +92,6 @@ def _lines(draft: Draft) -> list[str]:
     free = [item.parameter.name for item in draft.free]
     said.append(
         f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {listed(free)}; "
-        "the others stand behind a #"
+        "the others are commented out"
     )
     return [*said, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]

@@ -1,4 +1,4 @@
-"""`inspect`: what files of a test hold, and the same test in another form.
+"""`modetune files inspect`: list the contents of test files, and convert them.
 
 Heavy packages are imported where they are needed.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from modetune.adapters.test_files.measurements import Inspection
     from modetune.core.measurement.measurement import Measurement
 
-__test__ = False  # tests are what it reads, not what it is
+__test__ = False  # pytest collects no class of this module
 
 #: Names of units of length, by their metres.
 UNIT_NAMES = {
@@ -70,11 +70,15 @@ def _write(path: Path, files: list[Path], measurement: Measurement) -> list[Path
     from modetune.adapters.test_files.measurements import write_test
 
     if measurement.is_empty:
-        raise CampaignError([f"nothing of the files can be written to {path}", *measurement.notes])
+        raise CampaignError(
+            [f"the files contain nothing that can be written to {path}", *measurement.notes]
+        )
     if path.is_dir() or (path.parent.exists() and not path.parent.is_dir()):
-        raise CampaignError(f"{path} cannot be written: it is a folder, or lies in what is none")
+        raise CampaignError(
+            f"{path} cannot be written: it is a folder, or its parent is not a folder"
+        )
     if path.resolve() in [file.resolve() for file in files]:
-        raise CampaignError(f"{path} is one of the files that are read; name another")
+        raise CampaignError(f"{path} is one of the files to read; choose another")
     names = ", ".join(file.name for file in files)
     return write_test(path, measurement, [f"from {names}", *measurement.notes])
 
@@ -143,7 +147,7 @@ def _modes(inspection: Inspection) -> list[MeasuredMode]:
 
 
 def _unit(metres: float) -> str:
-    """A unit of length by its name where it has one; files give its factor with few digits."""
+    """Return a unit of length by name if it has one; files give its factor with few digits."""
     for name, length in UNIT_NAMES.items():
         if math.isclose(metres, length, rel_tol=1e-4):
             return f"in {name}"
@@ -151,7 +155,7 @@ def _unit(metres: float) -> str:
 
 
 def _lines(told: dict[str, Any]) -> list[str]:
-    """The contents as text for people."""
+    """Return the contents as lines of text."""
     lines = []
     for file in told["files"]:
         datasets = ", ".join(
@@ -162,7 +166,7 @@ def _lines(told: dict[str, Any]) -> list[str]:
         )
     points, frfs = told["points"], told["response_functions"]
     if points is not None:
-        unit = "unit of length not told" if points["metres"] is None else _unit(points["metres"])
+        unit = "unit of length unknown" if points["metres"] is None else _unit(points["metres"])
         size = " x ".join(f"{length:.4g}" for length in points["size"])
         lines.append(
             f"points     {points['count']}, {size}, {unit}; {points['lines']} lines, "
@@ -175,7 +179,7 @@ def _lines(told: dict[str, Any]) -> list[str]:
             + (", with coherence" if frfs["coherences"] else "")
         )
     elif told["functions"]:
-        lines.append(f"functions  {told['functions']}, none a response function that can be used")
+        lines.append(f"functions  {told['functions']}, without a usable response function")
     if told["modes"]:
         lines.append(f"modes      {len(told['modes'])} at {told['sensors']} sensors")
     return lines

@@ -1,4 +1,4 @@
-"""Options that several commands have besides those of studies, and how Ctrl-C ends commands."""
+"""Options of several commands apart from those of studies, and the handling of Ctrl-C."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
     place = given or Path(os.environ.get("MODETUNE_STORE") or ".modetune/store")
     if not place.exists():
-        raise CampaignError(f"{place} is not there; name a store or a campaign file with --store")
+        raise CampaignError(f"{place} does not exist; name a store or a campaign file with --store")
     if not place.is_file():
         return Store(place), None
     from modetune.flows.campaign.campaign import load_campaign
@@ -54,8 +54,7 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
 
 @contextmanager
 def show_progress(text: str) -> Iterator[Callable[[str], None]]:
-    """Report the first piece of work, then its jobs; yields a function that reports the next
-    piece."""
+    """Show progress, starting with this text; yields a function that shows the next text."""
     from modetune.flows.jobs.progress import JobProgress
     from modetune.flows.report.terminal import terminal
 
@@ -66,7 +65,7 @@ def show_progress(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def stoppable(
-    said: str = "stopped; finished jobs are in the store, the same command goes on from there",
+    said: str = "stopped; finished jobs are stored, and the same command continues from there",
 ) -> Iterator[None]:
     """Turn Ctrl-C into an error that explains how to continue."""
     try:

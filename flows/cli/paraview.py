@@ -1,4 +1,4 @@
-"""`modetune files paraview`: modes before and after updating as files for ParaView.
+"""`modetune files paraview`: write modes before and after updating for ParaView.
 
 Heavy packages are imported where they are needed.
 """
@@ -71,7 +71,7 @@ def paraview(
 
 
 def series_json(item: Series) -> dict[str, Json]:
-    """A series of files for machines."""
+    """Return the JSON object of a series of files."""
     converter = "ccx2paraview" if item.converted else "modetune"
     return json_object(
         item, "state file", modes=item.n_modes, solver_runs=int(item.ran), converter=converter

@@ -25,6 +25,6 @@ def schema(
     with writing(out) as part:
         part.write_text(text, encoding="utf-8")
     typer.echo(
-        f"written to {out}; an editor takes it from a campaign's first line:\n"
+        f"written to {out}; to use it in an editor, put this first in a campaign file:\n"
         f"# yaml-language-server: $schema={out.name}"
     )

@@ -1,4 +1,4 @@
-"""`modetune sensors`: the model's node and direction for each sensor of the test.
+"""`modetune sensors`: the model's node and direction for each sensor of a test.
 
 Heavy packages are imported where they are needed.
 """
@@ -21,7 +21,7 @@ from modetune.flows.studies.study import CampaignPath, Settings
 if TYPE_CHECKING:
     from modetune.flows.campaign.mapping import Mapping, SensorRow
 
-#: Sensors in the table: a terminal takes minutes to lay out more, and users do not read them.
+#: Maximum number of sensors in the table: a terminal takes minutes to print many more.
 SHOWN = 500
 
 
@@ -53,7 +53,7 @@ def sensors(
 
 
 def sensor_table(mapping: Mapping) -> Table:
-    """The sensors of the test with their nodes; those left out or in doubt are outside."""
+    """Return the table of sensors with their nodes; omitted and doubtful ones are marked."""
     shown = shown_sensors(mapping)
     fitted = any(isfinite(row.misfit) for row in mapping.table)
     columns = (
@@ -70,16 +70,16 @@ def sensor_table(mapping: Mapping) -> Table:
 
 
 def shown_sensors(mapping: Mapping) -> tuple[SensorRow, ...]:
-    """All sensors of a test in its order, or of very many those in doubt first."""
+    """Return all sensors in the test's order, or of very many the doubtful ones first."""
     if len(mapping.table) <= SHOWN:
         return mapping.table
     return tuple(sorted(mapping.table, key=lambda row: row.verdict == "good")[:SHOWN])
 
 
 def sensor_lines(mapping: Mapping) -> list[str]:
-    """Lines below the table: counts, the alignment, and doubts."""
+    """Return the lines below the table: counts, the alignment, and doubts."""
     counts = [len(mapping.table), len(mapping.doubtful), len(mapping.left_out)]
-    more = f"shown are {SHOWN} sensors, those in doubt first; --json tells all"
+    more = f"the table has {SHOWN} sensors, doubtful ones first; --json lists all"
     return [
         *([more] if counts[0] > SHOWN else []),
         f"{counts[0]} sensors: {counts[0] - counts[1] - counts[2]} good, {counts[1]} doubtful, "
@@ -89,27 +89,28 @@ def sensor_lines(mapping: Mapping) -> list[str]:
         ),
         alignment_line(mapping),
         *(f"note: {note}" for note in mapping.notes),
-        *(f"not certain: {what}. {remedy}" for what, remedy in mapping.uncertain),
+        *(f"uncertain: {what}. {remedy}" for what, remedy in mapping.uncertain),
     ]
 
 
 def alignment_line(mapping: Mapping) -> str:
-    """The alignment of test and model, in one line."""
+    """Return the alignment of test and model in one line."""
     found = mapping.alignment
     if found is None:
         return "sensors are the model's nodes of the same number"
-    place = ", ".join(f"{value:.4g}" for value in found.translation)
-    line = f"alignment: scale {found.scale:.6g}, turned {found.degrees:.4g} degrees, moved {place}"
+    moved = ", ".join(f"{value:.4g}" for value in found.translation)
+    turned = f"rotation {found.degrees:.4g} degrees, translation {moved}"
+    line = f"alignment: scale {found.scale:.6g}, {turned}"
     if not found.residuals.size:
         return f"{line} (given)"
     return (
         f"{line} {mapping.unit}".rstrip() + f"; fitted to {int(found.used.sum())} points, "
-        f"residual {found.rms:.4g} root mean square, {found.largest:.4g} at most"
+        f"RMS residual {found.rms:.4g}, maximum {found.largest:.4g}"
     )
 
 
 def sensors_json(mapping: Mapping, picture: Path | None = None) -> dict[str, Json]:
-    """The `--json` object of `modetune sensors`."""
+    """Return the `--json` object of `modetune sensors`."""
     found = mapping.alignment
     fitted = found is not None and bool(found.residuals.size)
     alignment = (

@@ -47,7 +47,7 @@ def serve(
             check_login(server.address.url)
         pool, schedule = f"serve-{name}", deployment.Schedule(cron, timezone)
         identity = deployment.deploy(chosen, parameters, name, schedule, pool)
-        when = f"at `{cron}` ({timezone})" if cron else "when asked"
+        when = f"at `{cron}` ({timezone})" if cron else "on request"
         typer.echo(f"serving {chosen.name}/{name} {when}; pages at {server.pages}; Ctrl-C ends it")
         folders = [campaign_file.parent, *chosen.paths(chosen.checked(parameters))]
         try:

@@ -37,9 +37,9 @@ WithoutLogin = Annotated[
         "--without-login", help="Allow a server without login, which anyone who reaches it may use."
     ),
 ]
-#: The work pool that is meant where none is named.
+#: Default work pool.
 POOL = "modetune"
-#: How often Prefect's worker asks for runs that are due, in seconds.
+#: Interval at which Prefect's worker asks for due runs, in seconds.
 POLL = {"PREFECT_WORKER_QUERY_SECONDS": "5", "PREFECT_WORKER_HEARTBEAT_SECONDS": "10"}
 
 

@@ -1,4 +1,4 @@
-"""`modetune store`: list, check and prune the store of results.
+"""`modetune store`: list, check and prune the stored results.
 
 Heavy packages are imported where they are needed.
 """
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 AGES_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604800.0}
 SIZES = {"B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
-#: Digits of a key that are shown.
+#: Number of digits of a key to print.
 SHORT = 12
 
 Older = Annotated[str | None, typer.Option(help="Older than this: 90min, 12h, 30d, 8w.")]
@@ -46,7 +46,7 @@ class By(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EntryRow:
-    """A result in a list. solver, kind and model are empty if its head cannot be read."""
+    """A row of the list. solver, kind and model are empty if the result is unreadable."""
 
     key: Annotated[str, Column("key")]
     age: Annotated[str, Column("written ago")]
@@ -59,7 +59,7 @@ class EntryRow:
 
 @dataclass(frozen=True, slots=True)
 class SumRow:
-    """The results of one kind in a store."""
+    """The results of one solver, model and analysis."""
 
     what: Annotated[str, Column("what")]
     solver: Annotated[str, Column("solver")]
@@ -87,7 +87,7 @@ def store_list(
     chosen = EntryFilter(before_ns, size_bytes(larger) if larger else 0)
     found = query_index(place, lambda index: index.entries(chosen, limit or -1, _order(by)))
     told: Json = {"store": str(place.folder), "results": list(map(_told, found))}
-    none = [] if found else [f"{place.folder} has no such result"]
+    none = [] if found else [f"{place.folder} contains no such result"]
     rows = [_row(entry, time.time()) for entry in found]
     print_result(told, [table_of("", rows, EntryRow), *none], as_json)
 
@@ -135,7 +135,7 @@ def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
     from modetune.flows.jobs.store_files import check
 
     place, _ = store_and_campaign(store)
-    with stoppable("stopped; what was found damaged was set aside"):
+    with stoppable("stopped; the damaged results found so far were set aside"):
         whole, damaged = check(place)
     aside = [f"set aside: {place.folder / 'damaged' / path.name}" for path in damaged]
     keys: list[Json] = [path.name.partition(".")[0] for path in damaged]
@@ -170,11 +170,11 @@ def store_prune(
     longest = age_s(older) if older else None
     least = size_bytes(larger) if larger else None
     found = prunable(place, time.time(), longest, least, other_formats)
-    with stoppable("stopped; the same command goes on from there"):
+    with stoppable("stopped; the same command continues from there"):
         gone = found if dry_run else remove(place, found)
     _tell_removed(place.folder, gone, dry_run, as_json)
     if (older or larger) and (running := campaigns_running(place)):
-        typer.echo(f"results stay: {running} running campaign(s) may need them", err=True)
+        typer.echo(f"kept results, because {running} running campaign(s) may need them", err=True)
 
 
 def store_forget(
@@ -190,31 +190,31 @@ def store_forget(
     start = key_start(key)
     whole = one_key(place, start)
     if whole is None:
-        raise CampaignError(f"nothing is known of a job {start}... in {place.folder}")
+        raise CampaignError(f"there is no job {start}... in {place.folder}")
     found = files_of(place, whole)
     gone = remove(place, found)
     if len(gone) < len(found):
-        raise CampaignError(f"the job {whole[:SHORT]} is under way; forget it when it has ended")
+        raise CampaignError(f"the job {whole[:SHORT]} is running; forget it after it ends")
     _tell_removed(place.folder, gone, False, as_json)
 
 
 def age_s(text: str) -> float:
-    """Seconds of an age such as 30d. Raises CampaignError."""
+    """Return the seconds of an age such as 30d. Raises CampaignError."""
     return _measure(text, AGES_S, "an age", "30d")
 
 
 def size_bytes(text: str) -> int:
-    """Bytes of a size such as 10MB. Raises CampaignError."""
+    """Return the bytes of a size such as 10MB. Raises CampaignError."""
     return round(_measure(text, SIZES, "a size", "10MB"))
 
 
 def shown_size(size: int) -> str:
-    """A size in the unit that suits it."""
+    """Return a size with a suitable unit."""
     return _shown(size, SIZES)
 
 
 def shown_age(seconds: float) -> str:
-    """An age in the unit that suits it, which --older takes."""
+    """Return an age with a suitable unit, as --older accepts it."""
     return _shown(round(max(seconds, 0.0)), AGES_S, ".3g")
 
 

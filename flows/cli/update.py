@@ -30,7 +30,7 @@ def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
         return
     if found.answered:
         typer.echo(
-            f"the store answers the {found.answered} jobs of "
+            f"the store has the {found.answered} jobs of "
             f"{_count(len(found.iterations), 'evaluation')}"
         )
     for item in found.jobs:
@@ -38,16 +38,16 @@ def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
         if not item.stored:
             typer.echo(f"      {nearest_line(item.nearest)}")
     if found.ended is not None:
-        typer.echo(f"nothing would be run; {found.ended.status}: {found.ended.reason}")
+        typer.echo(f"nothing would run; {found.ended.status}: {found.ended.reason}")
     elif not found.jobs:
         typer.echo(
-            "modes would be found from the stored matrices, and then one modal job would be "
-            "run at the parameters where that ends"
+            "modes would be computed from the stored matrices, followed by one modal job at the "
+            "final parameters"
         )
     else:
         typer.echo(
-            f"{_count(len(found.runs), 'job')} would be run, {len(found.jobs)} are asked "
-            "for in this iteration; what follows depends on their results"
+            f"{_count(len(found.runs), 'job')} of {len(found.jobs)} in this iteration would run; "
+            "later jobs depend on their results"
         )
 
 

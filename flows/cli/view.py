@@ -1,4 +1,4 @@
-"""`modetune view`: a live view of a campaign in the browser, with settings made there by hand."""
+"""`modetune view`: show a campaign live in the browser, and edit its settings there."""
 
 from __future__ import annotations
 
@@ -26,11 +26,14 @@ def view(
 
     def opened(address: str) -> None:
         typer.echo(f"view  {address}")
-        typer.echo("For this machine's browser; the address opens once. Ctrl-C ends it.", err=True)
+        typer.echo(
+            "Open the address in a browser on this machine; it opens once. Ctrl-C stops the view.",
+            err=True,
+        )
         if browser:
             import webbrowser
 
             webbrowser.open(address)
 
-    with stoppable("stopped; what was written stays"):
+    with stoppable("stopped; everything written is kept"):
         serve_view(campaign_file, runs, port, opened)

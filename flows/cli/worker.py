@@ -1,4 +1,4 @@
-"""`modetune server worker`: deployed campaigns run on this machine."""
+"""`modetune server worker`: run deployed campaigns on this machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def worker(
         list[Path] | None,
         typer.Option(
             help="Folder that must contain campaigns and run folders; may be repeated; "
-            "default: the current one."
+            "default: the current folder."
         ),
     ] = None,
     limit: Annotated[
@@ -32,14 +32,14 @@ def worker(
 ) -> None:
     """Run the deployed campaigns of a work pool on this machine, until Ctrl-C."""
     os.environ.update(POLL)
-    with stoppable("the worker has ended; runs that are due wait for the next one"):
+    with stoppable("the worker stopped; the next worker runs what is due"):
         with serving() as server:
             from modetune.flows.server.worker import check_login, work
 
             if not without_login:
                 check_login(server.address.url)
             if not once:
-                typer.echo(f"working for pool {pool} of {server.pages}; Ctrl-C ends it")
+                typer.echo(f"running the pool {pool} of {server.pages}; Ctrl-C stops it")
             work(
                 server,
                 pool,

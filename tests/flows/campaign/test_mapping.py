@@ -411,7 +411,7 @@ def test_poses_that_cannot_be_told_apart_are_shown_and_asked_about() -> None:
     assert "rotation: [0, 0, 20], translation: [0, 0, 0]" in what
     assert "rotation: [0, 0, -160], translation: [800, 400, 0]" in what
     assert "beside `align: fit`" in remedy
-    assert "not certain: 4 poses" in sensor_lines(found)[-1]
+    assert "uncertain: 4 poses" in sensor_lines(found)[-1]
     assert sensors_json(found)["status"] == "doubtful"
 
 
@@ -458,7 +458,7 @@ def test_of_very_many_sensors_those_in_doubt_are_shown_and_few_are_named() -> No
     found = map_sensors(measured, where, plate(), section(tolerance=200.0), MM)
     table = sensor_table(found)
     assert len(table.rows) == 500
-    assert "shown are 500 sensors" in sensor_lines(found)[0]
+    assert "the table has 500 sensors" in sensor_lines(found)[0]
     told = sensors_json(found)["sensors"]
     assert isinstance(told, list)
     assert len(told) == 3000
@@ -531,7 +531,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert second[:3] == ["202.z", "", "60"]
     assert second[4:] == ["left out", "the next node, 3, is 60 mm away"]
     assert lines[0].startswith("8 sensors: 7 good, 0 doubtful, 1 left out; tolerance ")
-    assert lines[1] == "alignment: scale 1, turned 0 degrees, moved 0, 0, 0 (given)"
+    assert lines[1] == "alignment: scale 1, rotation 0 degrees, translation 0, 0, 0 (given)"
     told = json.loads(json.dumps(sensors_json(found)))
     assert told["status"] == "doubtful"
     assert told["sensors"][1] == {

@@ -266,7 +266,7 @@ def test_ctrl_c_ends_at_once_and_leaves_no_solver(
     process.send_signal(number)
     _, said = process.communicate(timeout=30.0)
     assert process.returncode == 130
-    assert "the same command goes on from there" in said
+    assert "the same command continues from there" in said
     assert "Traceback" not in said
     assert wait_for(lambda: not ccx_processes(str(folder)), 10.0)
 

@@ -58,7 +58,7 @@ def test_a_file_is_told_in_a_few_lines(test_file: Path) -> None:
     assert lines[0] == f"{test_file}: universal, datasets 55, 15, 2467"
     assert (
         lines[1].split()
-        == "points 2, 0 x 2 x 0, unit of length not told; 0 lines, 0 triangles".split()
+        == "points 2, 0 x 2 x 0, unit of length unknown; 0 lines, 0 triangles".split()
     )
     assert lines[2].split() == "modes 1 at 2 sensors".split()
     # |-1 + 50 i| / 2 pi, 1 / |-1 + 50 i|
@@ -124,10 +124,10 @@ def test_points_alone_are_written_under_the_name_given(test_file: Path, tmp_path
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("export.unv", "is one of the files that are read"),
+        ("export.unv", "is one of the files to read"),
         ("t.xlsx", "written as .csv, .h5 or .unv"),
         ("folder.h5", "it is a folder"),
-        ("export.unv/t.h5", "lies in what is none"),
+        ("export.unv/t.h5", "its parent is not a folder"),
     ],
 )
 def test_what_cannot_be_written_is_told(
@@ -157,8 +157,8 @@ def test_a_file_of_nothing_useful_is_told_and_not_written(tmp_path: Path) -> Non
     ]
     path = tmp_path / "history.uff"
     path.write_text("\n".join(rows))
-    assert "1, none a response function that can be used" in run(path)
-    with pytest.raises(CampaignError, match="nothing of the files can be written"):
+    assert "1, without a usable response function" in run(path)
+    with pytest.raises(CampaignError, match="the files contain nothing that can be written"):
         run(path, "--write", tmp_path / "t.h5")
 
 

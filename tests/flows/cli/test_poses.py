@@ -119,7 +119,7 @@ def test_poses_that_nothing_tells_apart_end_update_with_the_poses_to_paste(tmp_p
     pasted = text.replace("{align: fit}", f"{{align: fit, {paste[0]}}}")
     (tmp_path / "plate.yaml").write_text(pasted)
     good = run(tmp_path, "sensors", "plate.yaml", **INFO)
-    assert "not certain" not in good.stdout
+    assert "uncertain" not in good.stdout
     assert SEARCHING not in good.stderr
     assert len(searches(tmp_path)) == 1
 
@@ -127,7 +127,7 @@ def test_poses_that_nothing_tells_apart_end_update_with_the_poses_to_paste(tmp_p
 def test_shapes_choose_a_pose_in_each_command_at_the_cost_of_one_run(tmp_path: Path) -> None:
     campaign(tmp_path, 8.0)
     before = run(tmp_path, "sensors", "plate.yaml", **INFO)
-    assert "not certain: " in before.stdout
+    assert "uncertain: " in before.stdout
     assert "solved in" not in before.stderr  # no solver runs for `sensors`
     assert "mean MAC" not in run(tmp_path, "check", "plate.yaml", "--no-run").stdout
 

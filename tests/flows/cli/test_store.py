@@ -87,14 +87,14 @@ def test_one_result_is_forgotten_by_the_start_of_its_key(folder: Path) -> None:
     }
     again = run(folder, "store", "forget", key[:12], "--store", "store")
     assert again.returncode == 2
-    assert "nothing is known of a job" in again.stderr
+    assert "there is no job" in again.stderr
 
 
 def test_results_stay_for_a_campaign_that_runs_and_that_is_told(folder: Path) -> None:
     count = len(told(folder, "list")["results"])
     with in_use(Store(folder / "store")):
         ended = run(folder, "store", "prune", "--older", "0s", "--store", "store")
-        assert ended.stderr == "results stay: 1 running campaign(s) may need them\n"
+        assert ended.stderr == "kept results, because 1 running campaign(s) may need them\n"
     assert len(told(folder, "list")["results"]) == count
     shown = run(folder, "store", "list", "--store", "store").stdout
     assert "written ago" in shown
@@ -104,7 +104,7 @@ def test_results_stay_for_a_campaign_that_runs_and_that_is_told(folder: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["list", "--store", "none"], "none is not there"),
+        (["list", "--store", "none"], "none does not exist"),
         (["prune", "--older", "30"], "'30' is not an age: expected a number and one of s, min"),
         (["prune", "--larger", "10 elephants"], "is not a size"),
         (["forget", "xyz"], "is not a key"),

@@ -243,10 +243,10 @@ def test_the_command_tells_a_job_in_lines_and_as_an_object(
 
 def test_the_command_refuses_what_nothing_is_known_of(bench: Any) -> None:
     store = bench.folder / "store"
-    with pytest.raises(CampaignError, match="is not there"):
+    with pytest.raises(CampaignError, match="does not exist"):
         explain("abcd", store)
     store.mkdir()
-    with pytest.raises(CampaignError, match=r"nothing is known of a job abcd\.\.\."):
+    with pytest.raises(CampaignError, match=r"there is no job abcd\.\.\."):
         explain("abcd", store)
 
 
@@ -260,7 +260,7 @@ def test_a_dry_run_is_told_in_lines_and_as_an_object(
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("run   ")
     assert said[0].endswith("iteration 0 / modal")
-    assert said[1].strip() == "nothing is stored that it could be compared with"
+    assert said[1].strip() == "the store has no result to compare it with"
     show_dry_run(parameters, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["runs"], told["jobs"][0]["stored"]) == ("would run", 1, False)

@@ -55,7 +55,7 @@ def test_a_run_whose_process_is_killed_has_crashed_at_once(site: Site) -> None:
     assert (found["state_type"], seconds < 10.0) == ("CRASHED", True)
     assert "ended with code -9" in found["state"]["message"]
     check_next(site)
-    assert "the worker has ended" in stop(worker)
+    assert "the worker stopped" in stop(worker)
 
 
 def test_a_run_whose_machine_is_gone_has_crashed_within_a_minute(site: Site) -> None:

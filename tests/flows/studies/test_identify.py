@@ -391,8 +391,8 @@ def test_people_get_a_table_with_quality(universal: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--pick", "5.5;12"), "--pick requires numbers with commas"),
-        (("--pick", "nan"), "--pick requires numbers with commas"),
+        (("--pick", "5.5;12"), "--pick requires numbers separated by commas"),
+        (("--pick", "nan"), "--pick requires numbers separated by commas"),
         (("--criteria", "0.01,0.05"), "three numbers: frequency,damping,shape"),
         (("--criteria", "0,0.05,0.02"), "must lie between 0 and 1"),
         (("--out", "modes.txt"), "a test file is written as .csv, .h5"),
