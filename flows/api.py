@@ -17,7 +17,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_origin, overload
 
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
@@ -32,7 +32,7 @@ from modetune.flows.studies.identify.identification import Identification, Ident
 from modetune.flows.studies.identify.measured_functions import SpectraSettings, read_functions
 from modetune.flows.studies.identify.operational_modes import OperationalModes, identify_test
 from modetune.flows.studies.init.draft import Draft, init_campaign
-from modetune.flows.studies.study import split_files, with_model
+from modetune.flows.studies.study import StudyParameter, split_files, with_model
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.forecast import Progress, Unwatched
 from modetune.flows.updating.record import CampaignRun, read_run
@@ -145,25 +145,29 @@ def modes(
     return found
 
 
+class CheckKeywords(TypedDict, total=False):
+    """Keywords of `check` that do not change the type of its result."""
+
+    run: bool
+    state: ModelState
+    frequency_band: float
+    mac_band: float
+    solver: str | None
+    units: str | None
+    summary: StrPath | None
+    junit: StrPath | None
+    settings: Settings
+    progress: bool
+    prefect: bool
+
+
 @overload
 def check(
     campaign: CampaignLike,
     test: Paths = (),
     *,
-    run: bool = True,
     against: None = None,
-    record: None = None,
-    fail_on: None = None,
-    state: ModelState = "updated",
-    frequency_band: float = 0.01,
-    mac_band: float = 0.05,
-    solver: str | None = None,
-    units: str | None = None,
-    summary: StrPath | None = None,
-    junit: StrPath | None = None,
-    settings: Settings = (),
-    progress: bool = False,
-    prefect: bool = False,
+    **options: Unpack[CheckKeywords],
 ) -> PreCheckReport: ...
 
 
@@ -172,20 +176,10 @@ def check(
     campaign: CampaignLike,
     test: Paths = (),
     *,
-    run: bool = True,
     against: StrPath | CampaignRun,
     record: StrPath | CampaignRun | None = None,
     fail_on: FailOn | None = None,
-    state: ModelState = "updated",
-    frequency_band: float = 0.01,
-    mac_band: float = 0.05,
-    solver: str | None = None,
-    units: str | None = None,
-    summary: StrPath | None = None,
-    junit: StrPath | None = None,
-    settings: Settings = (),
-    progress: bool = False,
-    prefect: bool = False,
+    **options: Unpack[CheckKeywords],
 ) -> BaselineCheck: ...
 
 
@@ -542,7 +536,7 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     )
     door = _door(given.pop("prefect"))
     parameters = {"settings": _texts(settings)} | {
-        key: _parameter(key, value) for key, value in given.items()
+        item.name: _parameter(item, given[item.name]) for item in study.fields if item.name in given
     }
     with watched as progress:
         return carried_out(study, parameters, progress, prefect=door, campaign=loaded).found
@@ -555,16 +549,16 @@ def _door(start: bool) -> Literal["start", "find", "off"]:
     return "start" if start else "find"
 
 
-def _parameter(name: str, value: Any) -> Any:
+def _parameter(item: StudyParameter, value: Any) -> Any:
     """Return an argument of a function in its study's form."""
-    if name in ("at", "second_at"):
-        return [f"{key}={float(number)!r}" for key, number in (value or {}).items()]
-    if name in ("test", "first", "second"):
-        one = isinstance(value, str | Path)
-        return split_files(str(value)) if one else _paths(value or ())
-    if name == "masters" and not isinstance(value, str | Path):
-        return ",".join(value)
-    return value.folder if isinstance(value, CampaignRun) else value
+    several = get_origin(item.json_kind) is list
+    if isinstance(value, Mapping):
+        return [f"{key}={float(number)!r}" for key, number in value.items()]
+    if isinstance(value, CampaignRun):
+        return value.folder
+    if item.is_path and several:
+        return split_files(str(value)) if isinstance(value, str | Path) else _paths(value or ())
+    return ",".join(value) if isinstance(value, list | tuple) and not several else value
 
 
 def _campaign_path(campaign: CampaignLike, folder: StrPath | None) -> Path:

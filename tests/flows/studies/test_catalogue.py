@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ast
+import collections.abc
 import inspect
 import json
 import shlex
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_overloads, get_type_hints
 
 import pytest
 import typer
@@ -17,6 +21,7 @@ from typer.testing import CliRunner
 import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.updating.direct_update import Filling as CoreFilling
+from modetune.flows import api
 from modetune.flows.cli.command import command_of
 from modetune.flows.cli.identify import identify
 from modetune.flows.cli.init import init
@@ -100,6 +105,64 @@ def test_command_verb_and_flow_have_the_same_parameters_and_defaults(
     by_command, by_verb = (study.checked(call["parameters"]) for call in calls)
     assert by_command == by_verb
     assert by_command == study.checked({first: by_command[first]})
+
+
+def hints_of(described: Any) -> dict[str, Any]:
+    """Types of a verb's arguments, with the names that only type checkers import."""
+    names = dict(vars(api))
+    for node in ast.walk(ast.parse(inspect.getsource(api))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("modetune"):
+            module = import_module(str(node.module))
+            names |= {item.name: getattr(module, item.name) for item in node.names}
+    return get_type_hints(described, names, names)
+
+
+def members(kind: Any) -> set[Any]:
+    """The types of a union; a type alone otherwise."""
+    return set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_explicit_signature_of_a_verb_has_the_types_of_the_request(name: str) -> None:
+    verb = getattr(modetune, name)
+    hints, given = hints_of(verb), inspect.signature(verb).parameters
+    for item in find_study(name).fields:
+        if item.name not in hints:  # the campaign, and `no_run`, which is the opposite of `run`
+            assert item.name in ("campaign_file", "model", "no_run"), item.name
+            continue
+        accepted = members(hints[item.name])
+        several = get_origin(item.json_kind) is list
+        if item.choices:
+            literal = next(one for one in accepted if get_origin(one) is Literal)
+            assert get_args(literal) == item.choices, item.name
+        elif item.is_path:
+            assert {str, Path} <= accepted, item.name
+        elif several:
+            origins = {get_origin(one) for one in accepted}
+            assert origins & {collections.abc.Sequence, collections.abc.Mapping}, item.name
+        else:
+            scalars = {bool, int, float, str}
+            assert scalars & accepted == scalars & members(item.kind), item.name
+        if item.default is not item.signature.empty and not several:
+            optional = type(None) in members(item.kind)
+            assert (type(None) in accepted) == optional, item.name
+            default = given[item.name].default or None
+            assert default == (
+                str(item.default) if item.is_path and item.default else item.default or None
+            ), item.name
+
+
+def test_the_typed_forms_of_check_have_the_arguments_of_check() -> None:
+    whole = inspect.signature(modetune.check).parameters
+    options, hints = hints_of(api.CheckKeywords), hints_of(api.check)
+    plain, compared = (set(inspect.signature(one).parameters) for one in get_overloads(api.check))
+    assert plain | set(options) | {"record", "fail_on"} == set(whole) | {"options"}
+    assert compared | set(options) == set(whole) | {"options"}
+    assert {name: hints[name] for name in options} == options
+
+
+def test_only_public_names_are_listed() -> None:
+    assert dir(modetune) == sorted([*modetune.__all__, "__version__"])
 
 
 @pytest.mark.parametrize(
