@@ -457,13 +457,15 @@ def verdict_reasons(trust: Trust) -> tuple[str, ...]:
             "match any test"
         )
     if trust.unseen and not doubtful:
-        reasons.append("some of them can hardly be told apart")
+        reasons.append("the test can hardly separate some parameters")
     if not trust.agrees:
         reasons.append("e1 is not met")
     if trust.spread is not None and trust.spread.rivals:
         reasons.append("other starts fit as well with other values")
-    if trust.concerns or trust.too_short:
-        reasons.append("see below")
+    if trust.too_short:
+        reasons.append(f"the minimum misfit is more than {SHORT:.0f} standard errors away")
+    if trust.concerns:
+        reasons.append("concerns about the model or the test are listed with the verdict")
     return tuple(reasons)
 
 

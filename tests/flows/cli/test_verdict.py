@@ -14,7 +14,7 @@ import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.report.headline import first_line
-from modetune.flows.report.page import page, prose
+from modetune.flows.report.page import page
 from modetune.flows.server.artifacts import result_artifacts
 from tests.command_line import run_command
 
@@ -101,7 +101,7 @@ def test_python_has_the_verdict_and_the_exit_code(
     assert line.startswith("four-storeys: 4 parameters updated, k1 the most (")
     assert "not to be trusted: do not use these values (4 of 4 parameters in doubt" in line
     assert repr(run).splitlines()[0] == line
-    assert prose(line) in page(run.record)
+    assert line in page(run.record)
     result = {item.key: item for item in result_artifacts(run.record, run.folder)}
     assert str(result["four-storeys-record"].data).startswith(f"**{line}**")
     assert result["four-storeys-record"].description.endswith(": not to be trusted")

@@ -114,6 +114,7 @@ def test_one_width_drives_a_section_and_is_found_from_its_closed_form(tmp_path: 
     assert inertia.updated_value == pytest.approx(0.03 * width.updated**3 / 12, rel=1e-12)
     assert [row.name for row in rows] == ["width", "A", "I2", "I1", "J"]
     # dA/A = dw/w and dI/I = 3 dw/w.
+    assert width.value_error is not None
     share = width.value_error / width.updated_value
     assert area.value_error == pytest.approx(share * area.updated_value, rel=1e-6)
     assert inertia.value_error == pytest.approx(3 * share * inertia.updated_value, rel=1e-3)
