@@ -92,15 +92,15 @@ def align_test(
     notes = list(laid.notes)
     if scale is None and not settings.fits:
         notes.append(
-            f"the test does not tell its unit of length; taken as the model's"
-            f"{_in(unit_name(metres))} (`test.length` gives another)"
+            f"the test has no unit of length; assumed that of the model{_in(unit_name(metres))} "
+            "(`test.length` sets another)"
         )
     if settings.scale is not None and known:
         from_units = geometry.metres / metres
         if abs(settings.scale / from_units - 1.0) > 0.01:
             notes.append(
-                f"`scale` is {settings.scale:.6g}, the units of test and model give "
-                f"{from_units:.6g}; `scale` is taken"
+                f"`scale` {settings.scale:.6g} is used, although the units of test and model give "
+                f"{from_units:.6g}"
             )
     notes += _size_doubts(laid.poses[0], geometry, mesh, metres)
     return replace(laid, notes=tuple(notes))
@@ -140,7 +140,7 @@ def _fitted(
         found, notes = _registered(poses_at, *sizes, scale, metres)
     except ModesError as error:
         raise CampaignError(
-            f"the test cannot be laid over the model: {error}; give `scale`, `rotation` and "
+            f"the test cannot be aligned with the model: {error}; give `scale`, `rotation` and "
             "`translation` instead of a fit"
         ) from error
     if near is not None and found.slides > tolerance:  # landmarks are better than the surface
@@ -151,17 +151,15 @@ def _fitted(
     best = poses[0]
     if not best.used.all():
         notes.append(
-            f"{int((~best.used).sum())} of {best.used.size} test points lie far from the model and "
-            "took no part in the fit"
+            f"{int((~best.used).sum())} of {best.used.size} test points are far from the model and "
+            "were left out of the fit"
         )
     if 0.0 < found.slides <= tolerance:
         far = f"{found.slides:.3g}{_in(unit_name(metres))}"
-        notes.insert(
-            0, f"points may slide by up to {far} along the model's surface with as good a fit"
-        )
+        notes.insert(0, f"the fit leaves positions along the surface uncertain by up to {far}")
     if len(points):
         away = np.linalg.norm(best.apply(points) - targets, axis=1)
-        notes.append(f"landmarks are left {away.max():.4g}{_in(unit_name(metres))} away at most")
+        notes.append(f"maximum distance of a landmark: {away.max():.4g}{_in(unit_name(metres))}")
     doubts = _doubts(found, best, tolerance, unit_name(metres))
     return Laid(poses, best.residuals, tuple(notes), doubts)
 
@@ -219,7 +217,7 @@ def _registered(
     """
     if scale is not None:
         return poses_at(scale), []
-    told = "the test does not tell its unit of length"
+    told = "the test has no unit of length"
     ratio = model / max(test, 1e-300)
     units = {name: size / metres for name, size in LENGTH_METRES.items()}
     for name, of_units in sorted(units.items(), key=lambda item: -item[1]):
@@ -227,9 +225,9 @@ def _registered(
             continue
         fixed = poses_at(of_units)
         if fixed.best.rms <= GOOD_FIT * test * of_units and fixed.best.used.all():
-            return fixed, [f"{told}; taken as {name}, which fits the model"]
+            return fixed, [f"{told}; assumed {name}, which fits the model"]
     free = poses_at(None)
-    return free, [f"{told} and fits in none; the scale {free.best.scale:.6g} was fitted"]
+    return free, [f"{told} and no known unit fits; the fitted scale is {free.best.scale:.6g}"]
 
 
 def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -> tuple[str, ...]:
@@ -237,21 +235,21 @@ def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -
     said = []
     if found.mirrored:
         said.append(
-            "the test's points fit far better as their own mirror image: its axes are left-handed "
-            "(one axis looks the other way), which no rotation mends"
+            "the mirror image of the test's points fits far better: the test's axes are "
+            "left-handed; reverse one axis in the test file"
         )
     if found.slides > tolerance:
         said.append(
-            f"points may slide by up to {found.slides:.3g}{_in(unit)} along the model's surface "
-            "with as good a fit: they do not say where along it they are"
+            f"the fit leaves positions along the surface uncertain by up to "
+            f"{found.slides:.3g}{_in(unit)}"
         )
     if best.rms > tolerance / 2.0:
         said.append(
-            f"the fit leaves its points {best.rms:.4g}{_in(unit)} (root mean square) from the "
-            "model, which is much: look at the picture"
+            f"the rms distance of the test points from the model is {best.rms:.4g}{_in(unit)}: "
+            "check the picture"
         )
     if best.used.mean() < 0.7:
-        said.append(f"only {best.used.sum()} of {best.used.size} test points lie on the model")
+        said.append(f"only {best.used.sum()} of {best.used.size} test points are on the model")
     return tuple(said)
 
 
@@ -267,10 +265,10 @@ def _size_doubts(
         name for name, size in LENGTH_METRES.items() if _alike(as_drawn * size / metres, model)
     ]
     unit = unit_name(metres)
-    hint = f"; in {' or '.join(fitting)} its size would be right" if fitting else ""
+    hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
     return (
-        f"the test's points span {test:.4g}{_in(unit)}, the model {model:.4g}{_in(unit)}: "
-        f"is its unit of length right (`test.length`)? The scale is {found.scale:.6g}{hint}",
+        f"the test spans {test:.4g}{_in(unit)} and the model {model:.4g}{_in(unit)} at a scale of "
+        f"{found.scale:.6g}: check the test's unit of length (`test.length`){hint}",
     )
 
 

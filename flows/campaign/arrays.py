@@ -66,7 +66,7 @@ def write_campaign(given: Mapping[str, Any], folder: Path | None = None) -> Path
             path.write_text(yaml.safe_dump(campaign, sort_keys=False), encoding="utf-8")
         except yaml.YAMLError as error:
             raise CampaignError(
-                f"a campaign is mappings, lists, numbers and text: {error}"
+                f"a campaign may contain only mappings, lists, numbers and text: {error}"
             ) from None
     return path
 
@@ -145,8 +145,8 @@ def _measured(arrays: dict[str, Any]) -> MeasuredModes:
     dofs = [_dof(item) for item in arrays.get("dofs", ())]
     if shapes is not None and len(dofs) != np.shape(shapes)[0]:
         raise ModesError(
-            f"mode_shapes has {np.shape(shapes)[0]} rows, and dofs names {len(dofs)}; each row "
-            "requires a node and a component"
+            f"mode_shapes has {np.shape(shapes)[0]} rows but dofs has {len(dofs)} entries; give "
+            "one node and component per row"
         )
     modes = mode_set(
         arrays["frequencies_hz"],

@@ -427,8 +427,8 @@ def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:
         return []
     return [
         f"{source.where(('run',))}: run: {max(run.parallel, 1)} jobs of {max(run.threads, 1)} "
-        f"threads need {wanted} cores, this machine has {cores}; lower `parallel` or `threads`, "
-        "or leave them out"
+        f"threads need {wanted} cores, but this machine has {cores}; reduce `parallel` or "
+        "`threads`, or leave them out"
     ]
 
 
@@ -438,7 +438,7 @@ def target_problems(source: YamlFile, file: CampaignFile) -> list[str]:
         return []
     return [
         f"{source.where(('parameters', place))}: parameters.{place}: {item.quantity} needs "
-        f"{targets_of(item.quantity)}; it has none"
+        f"{targets_of(item.quantity)}"
         for place, item in enumerate(file.parameters)
         if item.by() == "placeholder" and item.quantity != "variable"
     ]
@@ -452,8 +452,8 @@ def licence_problems(source: YamlFile, file: CampaignFile) -> list[str]:
     if not unknown:
         return []
     return [
-        f"{source.where(('run', 'licences'))}: run.licences names {', '.join(unknown)}; licences "
-        f"go by the solver's name: {', '.join(dict.fromkeys(known))}"
+        f"{source.where(('run', 'licences'))}: run.licences has the unknown name "
+        f"{', '.join(unknown)}; expected solvers: {', '.join(dict.fromkeys(known))}"
     ]
 
 
@@ -469,18 +469,18 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     }
     if not offered.get(method, True):
         why = untested_capabilities(solver) if method == "semi_analytic" and has.matrices else ""
-        said = f"{solver.program.name} does not offer {method} here"
+        said = f"{solver.program.name} has no {method} sensitivities for this campaign"
         return [f"{place}: {why or said}; use `auto`"]
     if file.model.eigensolver == "solver" and file.update.confirm == "matrices":
         where = source.where(("update", "confirm"))
         return [
-            f"{where}: update.confirm: matrices confirms modes that come from matrices, and "
-            "`model.eigensolver: solver` takes the solver's own; leave one of the two out"
+            f"{where}: `update.confirm: matrices` needs modes from matrices, but "
+            "`model.eigensolver: solver` uses solver runs; leave one of the two out"
         ]
     if file.model.eigensolver not in ("auto", "solver"):
         where = f"{source.where(('model', 'eigensolver'))}: eigensolver {file.model.eigensolver}"
         reason = (
-            "before there is a test the modes are the solver's own"
+            "without a test modes come from solver runs"
             if file.test.modes == NO_TEST
             else unsuitable(solver, file.parameter_set().parameters, method)
         )
@@ -494,7 +494,7 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     if method != "strain_energy":
         return []
     if shapes:
-        return [f"{place}: strain energies give no shape sensitivities; use `auto`"]
+        return [f"{place}: strain energies do not give shape sensitivities; use `auto`"]
     return [
         f"{place}: the stiffness is not proportional to {item.name} "
         f"({solver.deck.preload() or item.quantity}); use `auto`"

@@ -81,9 +81,8 @@ def configuration_files(
     for column, parameter in enumerate(file.parameters):
         if column not in used and parameter.configurations is None:
             problems.append(
-                f"{source.where(('parameters', column))}: the deck of no configuration that is "
-                f"used has what {parameter.name} scales ({parameter.by()} "
-                f"{', '.join(parameter.targets())})"
+                f"{source.where(('parameters', column))}: no deck of a used configuration has the "
+                f"target of {parameter.name} ({parameter.by()} {', '.join(parameter.targets())})"
             )
     return found
 
@@ -100,11 +99,11 @@ def _joint_problems(
     used = [section.name for section in sections if not section.hold_out]
     for place, item in enumerate(file.configurations):
         if names.count(item.name) > 1:
-            other = " (the campaign's own `model` and `test` are called so)" * (item.name == BASE)
+            other = " (it is that of the campaign's own model and test)" * (item.name == BASE)
             said = f"configurations: the name {item.name} is given twice{other}"
             add(("configurations", place, "name"), said)
     if not used:
-        said = "all configurations are held out, so nothing is left to update with"
+        said = "all configurations are held out; updating needs at least one"
         add(("configurations",), said)
     for place, parameter in enumerate(file.parameters):
         own, at = set(parameter.configurations or ()), ("parameters", place, "configurations")
@@ -113,13 +112,13 @@ def _joint_problems(
             near = suggestion(unknown[0], names)
             add(at, f"{parameter.name}: there is no configuration {unknown[0]}{near}")
         if own.isdisjoint(used) and parameter.configurations is not None:
-            said = f"{parameter.name} is in no configuration that is used; these are "
+            said = f"{parameter.name} is in none of the used configurations "
             add(at, said + ", ".join(used))
     if file.update.start == "last":
-        said = "`start: last` is for campaigns with one configuration; several start from the decks"
+        said = "`start: last` needs a single configuration; leave it out"
         add(("update", "start"), said)
     if file.run.engine == "dask":
-        said = "several configurations run with `engine: local` or `slurm`"
+        said = "several configurations need `engine: local` or `slurm`"
         add(("run", "engine"), said)
     return found
 

@@ -28,18 +28,18 @@ Verdict = Literal["good", "doubtful", "left out"]
 
 #: What a user can do about an uncertain alignment.
 REMEDY = (
-    "Look at it (`modetune sensors --picture`); in test.sensors name three or more landmarks in "
-    "`match` without `align`, or give `rotation` and `translation` with `align: none`"
+    "Check the picture (`modetune sensors --picture`); in test.sensors give three or more "
+    "landmarks in `match` without `align`, or `rotation` and `translation` with `align: none`"
 )
 CHOICE = (
-    "In test.sensors put one of these beside `align: fit`, or a landmark into `match` "
+    "In test.sensors combine one of these with `align: fit`, or a landmark to `match` "
     "(test node: model node)"
 )
-#: Poses that a message lists.
-TOLD = 6
-#: Sensors that a message names, each with its reason.
+#: Maximum number of poses in a message.
+LISTED_POSES = 6
+#: Maximum number of sensors in a message, each with its reason.
 REASONS = 20
-#: Most sensors that are mapped: each has its own sentence, which takes seconds for so many.
+#: Maximum number of sensors: each gets a sentence, which takes seconds for so large a number.
 MOST = 100_000
 #: Largest distance of a sensor from its node, as a part of the model's box diagonal.
 TOLERANCE = 0.02
@@ -102,11 +102,11 @@ class Mapping:
         """Why the alignment is uncertain, and what to do, a sentence each; mostly none."""
         said = [(doubt, REMEDY) for doubt in self.doubts]
         if self.others:
-            poses = "; ".join(pose_of(item) for item in (self, *self.others)[:TOLD])
-            more = len(self.others) + 1 - TOLD
+            poses = "; ".join(pose_of(item) for item in (self, *self.others)[:LISTED_POSES])
+            more = len(self.others) + 1 - LISTED_POSES
             poses += f" and {more} more" if more > 0 else ""
-            many = f"{1 + len(self.others)} poses of the test fit alike"
-            said.append((f"{many} and places cannot tell them apart: {poses}", CHOICE))
+            many = f"{1 + len(self.others)} poses of the test fit equally well"
+            said.append((f"{many}: {poses}", CHOICE))
         return tuple(said)
 
     @property
@@ -171,13 +171,13 @@ def map_sensors(
     """
     if modes.n_dof > MOST:
         raise CampaignError(
-            f"the test has {modes.n_dof:,} sensors, at most {MOST:,} are mapped to the model; "
-            "give a test file with fewer measured points or directions"
+            f"the test has {modes.n_dof:,} sensors, but at most {MOST:,} can be mapped; use a test "
+            "file with fewer measured points or directions"
         )
     match = {point: node for point, node in settings.match.items() if isinstance(node, int)}
     lost = sorted(set(match.values()) - set(mesh.nodes.tolist()))
     if lost:
-        raise CampaignError(f"`match` names model node {_listed(lost)}, which carries no results")
+        raise CampaignError(f"`match` names model node {_listed(lost)}, which has no results")
     tolerance, unit = tolerance_of(settings, mesh), unit_name(metres_per_model_length)
     mapper = _Mapper(modes, mesh, settings, components, match, tolerance, unit)
     if geometry is not None and settings.by == "position" and modes.n_dof:
@@ -186,8 +186,8 @@ def map_sensors(
         return mapper.by_position(geometry, laid)
     if geometry is None and settings.places:
         raise CampaignError(
-            "the test data hold no coordinates, which `align`, `scale`, `rotation` and "
-            "`translation` are about; leave these out, and sensors go by node number"
+            "the test has no coordinates for `align`, `scale`, `rotation` and `translation`; leave "
+            "these out to map sensors by node number"
         )
     return mapper.by_number()
 
@@ -269,8 +269,8 @@ class _Mapper:
         if 0.0 < size < self.tolerance:  # shrunk onto one place, where all would find a node
             raise CampaignError(
                 [
-                    f"all sensors lie within {self.length(size)}, less than the tolerance "
-                    f"({self.length(self.tolerance)}), so their nodes would mean nothing",
+                    f"all sensors are within {self.length(size)}, less than the tolerance "
+                    f"({self.length(self.tolerance)}): check `scale` and units",
                     *notes,
                 ]
             )
@@ -302,14 +302,14 @@ class _Mapper:
     def _nearest(self, nodes: Integers, distances: Floats) -> MappedNode:
         node, distance = int(nodes[0]), float(distances[0])
         if distance > self.tolerance:
-            said = f"the next node, {node}, is {self.length(distance)} away"
+            said = f"the nearest node, {node}, is {self.length(distance)} away"
             return MappedNode(0, distance, said)
         doubts = []
         if distance > self.tolerance / 2.0:
             doubts.append("more than half the tolerance away")
         gap = float(distances[1]) - distance
         if gap <= 1e-6 * self.tolerance and distance <= AS_NEAR * self.tolerance:
-            doubts.append(f"node {nodes[1]} is in the same place")
+            doubts.append(f"node {nodes[1]} has the same position")
         elif gap <= AS_NEAR * distance and distance > AS_NEAR * self.tolerance:
             doubts.append(f"node {nodes[1]} is as near")
         return MappedNode(node, distance, doubts=tuple(doubts))
@@ -386,7 +386,7 @@ class _Mapper:
             return ()
         count = "1 sensor is" if len(reasons) == 1 else f"{len(reasons)} sensors are"
         said = (
-            f"{count} not seen by the model (tolerance {self.length(self.tolerance)}): "
+            f"{count} without a node in the model (tolerance {self.length(self.tolerance)}): "
             + "; ".join([*reasons][:REASONS])
             + (f"; and {len(reasons) - REASONS} more" if len(reasons) > REASONS else "")
         )
@@ -395,10 +395,10 @@ class _Mapper:
             return (f"left out: {said}",)
         ways = []
         if self.settings.by == "position" and self.modes.n_dof:
-            fit = "`align: fit` finds rotation, scale and place"
-            ways += ["`match` gives partners" if self.settings.fits else fit]
-            ways += ["`tolerance` allows more"]
-        ways += ["`unmapped: leave_out` drops them"] if remain else ["none is left"]
+            fit = "`align: fit` fits rotation, scale and position"
+            ways += ["`match` assigns nodes" if self.settings.fits else fit]
+            ways += ["`tolerance` allows larger distances"]
+        ways += ["`unmapped: leave_out` drops them"] if remain else ["no other sensor remains"]
         raise CampaignError([f"{said}. In test.sensors: {', '.join(ways)}", *notes])
 
     def _mapping(

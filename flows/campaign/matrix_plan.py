@@ -133,17 +133,17 @@ def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method
     """Return why modes cannot be computed from stored matrices, None where they can."""
     if not solver.offers.matrix_modes:
         why = untested_capabilities(solver) if solver.program.capabilities.matrix_modes else ""
-        return why or f"{solver.program.name} does not hand its matrices out"
+        return why or f"{solver.program.name} does not export matrices"
     if not solver.deck.summary.matrix_shapes:
         return "the motion of this model's nodes does not follow from its matrices"
     if method not in ("auto", "semi_analytic"):
-        return f"sensitivities are asked for by {method}"
+        return f"sensitivity.method is {method}"
     found: list[tuple[Parameter, Sampling]] = []
     for parameter in parameters:
         sampled = sampling(solver, parameter, 0.0)
         if sampled.affected is None:
             why = solver.deck.preload()
-            said = f"the matrices are not polynomials in {parameter.name}"
+            said = f"the stiffness is not a polynomial in {parameter.name}"
             return f"{said} ({why})" if why else said
         found.append((parameter, sampled))
     for one, other in combinations(found, 2):

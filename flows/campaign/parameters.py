@@ -111,9 +111,9 @@ class ParameterSection(Section):
             raise ValueError(f"{self.quantity} needs {targets_of(self.quantity)}; {found}")
         if self.field is not None and (self.expression or "element" not in wanted):
             raise ValueError(
-                f"a field is of a quantity that elements have, not of {self.quantity}"
+                f"a field needs a quantity of elements; {self.quantity} is none"
                 if "element" not in wanted
-                else "a field has values of its own, so `expression` would mean nothing"
+                else "a field has its own values; leave `expression` out"
             )
         if self.expression is not None:
             self._check_expression(self.expression)
@@ -123,16 +123,16 @@ class ParameterSection(Section):
         lost = [f"`{key}`" for key in missing if key not in self.model_fields_set]
         if lost:
             raise ValueError(
-                f"{self.values} values need {' and '.join(lost)}: the deck's value may be zero, so "
-                "nothing else tells how large a step of theirs is"
+                f"{self.values} values need {' and '.join(lost)}, because the deck's value may be "
+                "zero and then gives no scale for steps"
             )
         lower, upper = self.bounds
         if lower >= upper:
             raise ValueError(f"bounds: the lower ({lower:g}) must be below the upper ({upper:g})")
         if self.values == "relative" and lower <= 0.0:
             raise ValueError(
-                f"bounds: the lower ({lower:g}) must be above zero, a factor; `values: additive` "
-                "and `values: absolute` may be zero"
+                f"bounds: the lower ({lower:g}) must be above zero for factors; `values: additive` "
+                "and `values: absolute` allow zero"
             )
         if not lower <= self.start() <= upper:
             raise ValueError(f"initial value {self.start():g} is outside the bounds")
@@ -142,11 +142,10 @@ class ParameterSection(Section):
         own = {"bounds", "deviation", "initial"} & self.model_fields_set
         if own:
             raise ValueError(
-                f"`expression` gives the value, so {' and '.join(sorted(own))} would mean nothing: "
-                "leave it out"
+                f"`expression` defines the value; leave out {' and '.join(sorted(own))}"
             )
         if self.quantity == "variable":
-            raise ValueError("a variable is what expressions name; it has no expression itself")
+            raise ValueError("a variable cannot have an expression; expressions refer to it")
         try:
             names_of(expression)
         except ModelError as error:
@@ -233,7 +232,8 @@ def with_fields(
         places += [place] * len(found)
     names = [item.name for item in sections]
     problems += [
-        f"{source.where(('parameters', place))}: the name {name} is that of a field's zone too"
+        f"{source.where(('parameters', place))}: a zone of a field has the same name {name}; "
+        "rename one"
         for place, name in zip(places, names, strict=True)
         if names.count(name) > 1 and given[place].field is None
     ]
@@ -247,7 +247,7 @@ def _expanded(
     affected = solver.deck.affected_elements(item.parameter())
     if affected is None:
         raise ModelError(
-            f"{solver.program.name} does not tell which elements {item.quantity} scales here"
+            f"{solver.program.name} does not report which elements {item.quantity} scales here"
         )
     elements, centres, pairs = element_graph(solver.deck.mesh(), affected.elements)
     each = asked.zones == "elements"
@@ -255,10 +255,11 @@ def _expanded(
     n = int(owners.max()) + 1
     if n > MOST_ZONES:
         raise ModelError(
-            f"{n:,} elements, and a field may have {MOST_ZONES:,} values; ask for `zones: 200`"
+            f"a field of {n:,} elements exceeds the maximum of {MOST_ZONES:,} values; use "
+            "`zones: 200`"
         )
     if n < 2:
-        raise ModelError("a field has two zones or more; leave `field` out")
+        raise ModelError("a field needs at least two zones; leave `field` out")
     field = ZoneField(
         item.name,
         np.arange(n),

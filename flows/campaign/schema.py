@@ -464,7 +464,7 @@ class CampaignFile(Section):
     @model_validator(mode="after")
     def _different(self) -> CampaignFile:
         if (self.model is None) != (self.test is None):
-            raise ValueError("beside `configurations` give both `model` and `test`, or neither")
+            raise ValueError("with `configurations` give both `model` and `test`, or neither")
         if not self.configurations and any(p.configurations for p in self.parameters):
             raise ValueError("a parameter names configurations, but the campaign has none")
         names = [parameter.name for parameter in self.parameters]
@@ -487,9 +487,9 @@ class CampaignFile(Section):
             variables -= set(names)
         variables -= self._variables_of_responses()
         if variables:
-            raise ValueError(f"nothing names the variable {', '.join(sorted(variables))}")
+            raise ValueError(f"the variable {', '.join(sorted(variables))} is not used")
         if self.parameters and not free:
-            raise ValueError("all parameters follow from expressions, none is free")
+            raise ValueError("all parameters have expressions; at least one must be free")
         return self
 
     def _variables_of_responses(self) -> set[str]:
@@ -524,11 +524,11 @@ class CampaignFile(Section):
             return self
         given = self.update.model_fields_set
         if self.configurations:
-            raise ValueError("a field is of one model; leave `configurations` out")
+            raise ValueError("a field works with one model; leave `configurations` out")
         if "step" in given and self.update.step != "pulled_to_initial":
             raise ValueError(
-                "a field has more values than a test tells, so its steps are `pulled_to_initial`; "
-                f"update.step: {self.update.step} knows nothing of neighbours: leave it out"
+                "a field has more values than a test can determine and needs `pulled_to_initial`; "
+                f"leave out update.step: {self.update.step}"
             )
         found = {"step": "pulled_to_initial", "regularisation": "l_curve", "starts": 1}
         own = {key: value for key, value in found.items() if key not in given}

@@ -109,14 +109,14 @@ def open_model(path: Path, settings: Sequence[str] = (), tests: Sequence[Path] =
         logger.warning("solver: %s, which %s", sketch.name, sketch.by_solver)
     if sketch.units is None and tests and sketch.solver.deck.mesh().nodes.size:
         raise CampaignError(
-            f"the units of {path} are not known, so a test cannot be laid over it: name them with "
-            f"--units ({sketch.by_units})"
+            f"the units of {path} are unknown ({sketch.by_units}), so a test cannot be aligned; "
+            "give --units"
         )
     if sketch.by_units:
-        taken = f"units: taken as {sketch.units}, since"
+        assumed = f"units: assumed {sketch.units}, because"
         if sketch.units is None:
-            taken = "units: nothing tells them, and masses in kg are those of m-kg-s:"
-        logger.warning("%s %s; --units gives others", taken, sketch.by_units)
+            assumed = "units: unknown, masses in kg assume m-kg-s;"
+        logger.warning("%s %s; --units sets others", assumed, sketch.by_units)
     return sketched_campaign(sketch, settings)
 
 
@@ -169,16 +169,16 @@ def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:
             solver = bind_solver(section.model_copy(update={"solver": name}), deck, ())
             solver.program.version()
         except SolverMissing:
-            refused[name] = "not on this machine (`modetune doctor` tells more)"
+            refused[name] = "not installed (see `modetune doctor`)"
             continue
         except ModelError as error:
             refused[name] = str(error)
             continue
         how = "runs it by translation" if name == "calculix" else "runs Nastran decks"
-        missing = f"; not here, or refusing it: {', '.join(refused)}" if refused else ""
-        return solver, name, f"{how}{missing}; --solver names another"
+        missing = f"; not usable: {', '.join(refused)}" if refused else ""
+        return solver, name, f"{how}{missing}; --solver selects another"
     by_reason: dict[str, list[str]] = {}
     for name, said in refused.items():
         by_reason.setdefault(said, []).append(name)
     reasons = (f"{' and '.join(names)}: {said}" for said, names in by_reason.items())
-    raise ModelError("\n".join((f"no solver takes {deck}:", *reasons)))
+    raise ModelError("\n".join((f"no solver can run {deck}:", *reasons)))

@@ -100,8 +100,8 @@ def _with_repeats(
     where = source.where(("test", "repeats"))
     own = file.test.modes if isinstance(file.test.modes, str) else ", ".join(file.test.modes)
     if measurement.modes is None or measurement.deviations is not None:
-        lacks = "no modes" if measurement.modes is None else "deviations of its own"
-        problems.append(f"{where}: `repeats` tell deviations, but the test has {lacks}")
+        lacks = "no modes" if measurement.modes is None else "its own"
+        problems.append(f"{where}: `repeats` give standard deviations, but the test has {lacks}")
         return None
     first = measurement.modes
     tests = [first]
@@ -139,8 +139,8 @@ def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) ->
         where = source.where(("test", "pairs", str(number)))
         if number not in used:
             nearest = min(used, key=lambda other: (abs(other - number), other), default=None)
-            kind = "the campaign does not use" if number in test.numbers else "the test has not"
-            near = "" if nearest is None else f"; the nearest of those that are used is {nearest}"
+            kind = "the campaign does not use" if number in test.numbers else "is not in the test"
+            near = "" if nearest is None else f"; the nearest used mode is {nearest}"
             problems.append(
                 f"{where}: `pairs` names test mode {number}, which {kind}{near} (used: "
                 f"{', '.join(map(str, used))})"
@@ -148,7 +148,7 @@ def _pair_problems(source: YamlFile, file: CampaignFile, test: MeasuredModes) ->
         elif mode in taken:
             problems.append(
                 f"{where}: `pairs` gives test modes {taken[mode]} and {number} the same elastic "
-                f"mode {mode}; a computed mode answers one of them"
+                f"mode {mode}; pair it with one of them"
             )
         taken.setdefault(mode, number)
     return problems

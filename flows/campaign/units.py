@@ -45,7 +45,7 @@ def guessed_units(solver: Solver) -> tuple[Units | None, str]:
     """
     known, masses = solver.deck.elastic_constants(), solver.deck.material_masses()
     if not known:
-        return None, "no material of the deck has a Young's modulus that would tell"
+        return None, "no material of the deck has a Young's modulus"
     score = dict.fromkeys(METRES, 0.0)
     for name, (modulus, density) in known.items():
         for units in score:
@@ -95,6 +95,6 @@ def unit_doubt(units: Units, solver: Solver) -> str:
     ]
     hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
     return (
-        f"in units {units} sound would travel at {speeds[name] * METRES[units]:.3g} m/s in "
-        f"material {name} (root of E over density), of which most of the mass is{hint}"
+        f"in units {units} material {name}, with most of the mass, has a speed of sound of "
+        f"{speeds[name] * METRES[units]:.3g} m/s (square root of E over density){hint}"
     )

@@ -121,7 +121,7 @@ class FrfSection(ResponseSection):
             )  # fmt: skip
         for key in ("averages", "coherence"):
             if not told.size and key in self.model_fields_set:
-                found.append(((key,), "the test has no coherences: leave this out"))
+                found.append(((key,), "the test has no coherences; leave this out"))
         ratios = given.test.modes.damping_ratios
         told_all = ratios.size and (ratios > 0.0).all()
         if OTHERS not in self.damping and not told_all and given.deck.undamped():
@@ -131,8 +131,8 @@ class FrfSection(ResponseSection):
             found.append((("band",), f"{low:g} to {high:g} Hz is not a band"))
         elif not found and not self._curves(given):
             found.append(
-                ((), f"no line of a response function from {low:g} to {high:g} Hz stands out of "
-                 "its noise at sensors of the model")
+                ((), f"no response function at a sensor of the model exceeds its noise between "
+                 f"{low:g} and {high:g} Hz")
             )  # fmt: skip
         return found
 
@@ -142,13 +142,13 @@ class FrfSection(ResponseSection):
         why = given.deck.undamped()
         if moved and why:
             found.append(
-                f"{', '.join(moved)} cannot count in response functions: {why}; their modes have "
-                "the ratios of the test, or of `damping`"
+                f"{', '.join(moved)} has no effect on response functions: {why}; they use the "
+                "damping ratios of the test, or `damping`"
             )
         elif not why and given.test.modes.damping_ratios.size:
             found.append(
-                "the deck's dampers and loss factors count in response functions, so the ratios of "
-                "the test's modes do not; `damping` adds what the deck lacks"
+                "response functions use the deck's dampers and loss factors instead of the test's "
+                "damping ratios; `damping` adds to them"
             )
         frfs, seen = given.frfs, given.seen
         if frfs is None or seen is None:
@@ -161,15 +161,15 @@ class FrfSection(ResponseSection):
             name, ends = curve_name(frfs, column), _ends(frfs, column)
             lacking = [dof_name(end) for end in ends if end not in places]
             if lacking:
-                said = f"{lacking[0]} is not a place of the model that is used"
+                said = f"the model has no sensor at {lacking[0]}"
                 reasons.setdefault(said, []).append(name)
             elif name not in compared:
-                said = f"no line from {low:g} to {high:g} Hz stands out of the noise"
+                said = f"none exceeds the noise between {low:g} and {high:g} Hz"
                 reasons.setdefault(said, []).append(name)
         for reason, names in reasons.items():
             listed = ", ".join(name.removeprefix("response function ") for name in names)
             found.append(
-                f"{len(names)} of {frfs.nodes.size} response functions are not compared, since "
+                f"{len(names)} of {frfs.nodes.size} response functions are not compared, because "
                 f"{reason}: {listed}"
             )
         return found

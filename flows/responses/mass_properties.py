@@ -41,8 +41,8 @@ class MassQuantitySection(Section):
             raise ValueError(f"limits: the lower ({low:g}) must be below the upper ({high:g})")
         if self.target is not None and not low <= self.target <= high:
             raise ValueError(
-                f"the target {self.target:g} is outside of the limits ({low:g} to {high:g}), so no "
-                "step could reach it; mend one of them"
+                f"the target {self.target:g} is outside the limits ({low:g} to {high:g}); correct "
+                "one of them"
             )
         return self
 

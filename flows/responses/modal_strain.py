@@ -44,13 +44,13 @@ class ModalStrainSection(ResponseSection):
                 raise ValueError(f"{number!r} is not the number of a mode of the test")
             if len(values) != len(self.gauges):
                 raise ValueError(
-                    f"mode {number} has {len(values)} strains, and there are {len(self.gauges)} "
-                    "gauges: give one of each"
+                    f"mode {number} has {len(values)} strains for {len(self.gauges)} gauges; give "
+                    "one per gauge"
                 )
             if not any(values):
-                raise ValueError(f"mode {number}: all strains are zero, which tells nothing")
+                raise ValueError(f"mode {number}: all strains are zero; leave the mode out")
         if self.scale == "own" and len(self.gauges) < 2:
-            raise ValueError("`scale: own` requires two gauges or more: one tells its scale alone")
+            raise ValueError("`scale: own` requires two gauges or more; one defines only a scale")
         return self
 
     @property
@@ -64,9 +64,7 @@ class ModalStrainSection(ResponseSection):
         found: list[tuple[Place, str]] = []
         self._gauges(given.deck, found)
         if self.scale == "shapes" and not given.test.has_shapes:
-            found.append(
-                (("scale",), "the test holds frequencies only, so no shape tells a scale: `own`")
-            )
+            found.append((("scale",), "the test has no shapes to define the scale; use `own`"))
         return found
 
     def response(self, given: TestedModel) -> ModalStrain:

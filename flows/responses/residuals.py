@@ -262,16 +262,14 @@ def _mode_problem(name: str, numbers: Sequence[int], judged: Sequence[int]) -> s
         near = min(numbers, key=lambda number: abs(number - int(name)))
         return f"the test has no mode {name}; the nearest is {near} (it has {has})"
     if int(name) not in judged:
-        return (
-            f"mode {name} is not used, so this would count for nothing; use it, or leave this out"
-        )
+        return f"mode {name} is not used, so this has no effect; use the mode or leave this out"
     return ""
 
 
 def _sensor_problem(name: str, test: MeasuredModes) -> str:
     names = _sensor_names(test.modes)
     if not names:
-        return "the test holds frequencies only, no sensors"
+        return "the test has only frequencies, no sensors"
     if name in names or name in {item.partition(".")[0] for item in names}:
         return ""
     return f"the test has no sensor {name}{suggestion(name, names)}"
@@ -302,14 +300,14 @@ def _idle(
         )
     if step in UNWEIGHTED:
         found += [
-            f"{source.where(('residuals', kind))}: residuals.{kind}: `step: {step}` knows no "
-            "deviations, without which this cannot stand beside frequencies; use trust_region, "
+            f"{source.where(('residuals', kind))}: residuals.{kind}: `step: {step}` ignores "
+            "deviations, which are needed to combine this with frequencies; use trust_region, "
             "weighted_least_squares or regularised"
             for kind in section.kinds
         ]
     if step in UNWEIGHTED and np.unique(weights[weights > 0.0]).size > 1:
         found.append(
-            f"{where}: residuals: `step: {step}` knows no weights but 0, and those given differ; "
+            f"{where}: residuals: `step: {step}` ignores weights other than 0, but they differ; "
             "use weighted_least_squares or regularised, or one weight for all"
         )
     return found

@@ -62,7 +62,7 @@ def section_problems(
     for item in errors:
         place = item["loc"]
         if any(len(other) > len(place) and other[: len(place)] == place for other in places):
-            continue  # what is wrong inside, and told there, leaves too few of it
+            continue  # a problem inside also causes this one
         said, given = item["msg"].removeprefix("Value error, "), item["input"]
         if item["type"] == "extra_forbidden":
             near = suggestion(str(place[-1]), _keys(section, place[:-1]))
@@ -84,7 +84,7 @@ def _keys(section: type[Section], place: tuple[str | int, ...]) -> list[str]:
     inside = [section]
     for key in place:
         named = [item.model_fields[str(key)] for item in inside if str(key) in item.model_fields]
-        # A position in a list, or a choice among several sections, has no keys of its own.
+        # A position in a list, or a choice among several sections, has no keys.
         inside = [kind for field in named for kind in _sections(field.annotation)] or inside
     return list(dict.fromkeys(key for kind in inside for key in kind.model_fields))
 

@@ -47,12 +47,12 @@ class StaticCase(Section):
     @model_validator(mode="after")
     def _whole(self) -> StaticCase:
         if (self.load is None) == (not self.forces):
-            raise ValueError("`load` or `forces` says what the structure is loaded by: one of them")
+            raise ValueError("give either `load` or `forces`")
         if not (self.displacements or self.strains):
-            raise ValueError("nothing was measured: give `displacements`, `strains` or both")
+            raise ValueError("give measured `displacements`, `strains` or both")
         for key, values in (("displacements", self.displacements), ("strains", self.strains)):
             if values and not any(values.values()):
-                raise ValueError(f"all `{key}` are zero, which nothing can be measured against")
+                raise ValueError(f"all `{key}` are zero; give at least one nonzero value")
         return self
 
 

@@ -19,7 +19,7 @@ from modetune.core.errors import CampaignError, NotStored, SolverError
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.campaign.mapping import TOLD, Mapping, pose_of
+from modetune.flows.campaign.mapping import LISTED_POSES, Mapping, pose_of
 from modetune.flows.campaign.test import pairing_nodes
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solve_jobs
@@ -82,7 +82,7 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     macs = np.array([_mean_mac(case, item, result) for item in mappings])
     order = np.argsort(-macs, kind="stable")
     poses = [f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order]
-    told = "; ".join(poses[:TOLD]) + (f" and {len(poses) - TOLD} more" if poses[TOLD:] else "")
+    told = "; ".join(poses[:LISTED_POSES]) + (f" and {len(poses) - LISTED_POSES} more" if poses[LISTED_POSES:] else "")
     best, next_best = macs[order[:2]]
     if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
         return case, f"measured shapes cannot tell its poses apart: {told}"

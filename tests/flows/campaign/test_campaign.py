@@ -126,7 +126,7 @@ def test_all_problems_come_at_once_each_with_its_line(folder: Path) -> None:
         ("modes: measured.csv", "modes: none.csv", "none.csv cannot be read"),
         ("modes: measured.csv", "modes: measured.csv, use: [1, 7]", "mode 7 is asked for"),
         ("name: small", "name: ../small", "line 1: name"),
-        ("name: small", "name: small\nrun: {licences: {nastrn: 2}}", "run.licences names nastrn"),
+        ("name: small", "name: small\nrun: {licences: {nastrn: 2}}", "run.licences has the unknown name nastrn"),
         ("name: small", "name: small\nname: twice", "line 2: the key `name` stands twice"),
         ("name: small", "name: !!python/object:os.system x", "not readable as YAML"),
         ("test:", "test: [", "not readable as YAML"),
@@ -174,7 +174,7 @@ def test_strain_energies_are_refused_for_what_they_cannot_do(folder: Path) -> No
     assert "not proportional to E_bar (density)" in problems(folder, text)
     (folder / "measured.csv").write_text(TEST + "8.x,1,2\n")
     text = GOOD + "residuals: {shape_weight: 1.0}\nsensitivity: {method: strain_energy}\n"
-    assert "no shape sensitivities" in problems(folder, text)
+    assert "do not give shape sensitivities" in problems(folder, text)
 
 
 def test_settings_override_the_file_and_are_checked_like_it(folder: Path) -> None:

@@ -114,25 +114,23 @@ def test_metres_of_the_test_become_millimetres_of_the_model() -> None:
 def test_a_test_without_units_is_taken_in_the_models_and_told() -> None:
     found = mapped(at_nodes(plate(), MAPPED_NODES), metres=float("nan"))
     assert found.sensors.model_nodes.tolist() == MAPPED_NODES
-    assert found.notes[0].startswith("the test does not tell its unit of length; taken as the ")
+    assert found.notes[0].startswith("the test has no unit of length; assumed that of the model")
     assert len(found.notes) == 1
 
 
 def test_a_wrong_unit_is_told_with_the_one_that_would_fit() -> None:
     with pytest.raises(CampaignError) as raised:
         mapped(at_nodes(plate(), MAPPED_NODES) / 1000.0, metres=float("nan"))
-    assert "all sensors lie within" in str(raised.value)
+    assert "all sensors are within" in str(raised.value)
     # The plate spans sqrt(800^2 + 400^2 + 150^2) = 907 mm; as metres its sensors span 0.9.
-    assert "in m its size would be right" in str(raised.value)
-    assert "span 0.9069 mm, the model 906.9 mm" in str(raised.value)
+    assert "; m would fit" in str(raised.value)
+    assert "spans 0.9069 mm and the model 906.9 mm" in str(raised.value)
 
 
 def test_a_given_scale_goes_before_the_units_and_says_so() -> None:
     found = mapped(at_nodes(plate(), MAPPED_NODES) / 10.0, metres=1.0, scale=10.0)
     assert found.sensors.model_nodes.tolist() == MAPPED_NODES
-    assert found.notes == (
-        "`scale` is 10, the units of test and model give 1000; `scale` is taken",
-    )
+    assert found.notes == ("`scale` 10 is used, although the units of test and model give 1000",)
 
 
 @pytest.mark.parametrize("as_matrix", [False, True])
@@ -173,7 +171,7 @@ def test_a_fit_without_units_finds_the_unit() -> None:
     found = mapped((placed / 25.4) @ rotation, metres=float("nan"), align="fit")
     assert found.alignment is not None
     assert found.alignment.scale == pytest.approx(25.4, rel=1e-12)
-    assert "taken as in, which fits the model" in found.notes[-1]
+    assert "assumed in, which fits the model" in found.notes[-1]
     assert found.sensors.model_nodes.tolist() == MAPPED_NODES
 
 
@@ -181,7 +179,7 @@ def test_a_fit_of_a_scale_that_is_no_unit_says_so() -> None:
     found = mapped(at_nodes(plate(), MAPPED_NODES) / 7.0, metres=float("nan"), align="fit")
     assert found.alignment is not None
     assert found.alignment.scale == pytest.approx(7.0)
-    assert "fits in none; the scale 7 was fitted" in found.notes[-1]
+    assert "no known unit fits; the fitted scale is 7" in found.notes[-1]
 
 
 def test_three_partners_fix_the_fit_and_the_rest_follows() -> None:
@@ -200,7 +198,7 @@ def test_partners_that_do_not_suffice_are_refused() -> None:
         mapped(at_nodes(plate(), MAPPED_NODES), match={201: 1, 202: 3, 203: 5})
     with pytest.raises(CampaignError, match="test point 777, which has no coordinates"):
         mapped(at_nodes(plate(), MAPPED_NODES), match={201: 1, 202: 3, 777: 5})
-    with pytest.raises(CampaignError, match="model node 46, which carries no results"):
+    with pytest.raises(CampaignError, match="model node 46, which has no results"):
         mapped(at_nodes(plate(), MAPPED_NODES), match={201: 46})
 
 
@@ -272,9 +270,9 @@ def test_sensors_beyond_the_tolerance_are_all_named_with_their_distances() -> No
     with pytest.raises(CampaignError) as raised:
         mapped(places)
     said = str(raised.value)
-    assert said.startswith("2 sensors are not seen by the model (tolerance ")
-    assert "sensor 202: the next node, 3, is 60 mm away" in said
-    assert "sensor 207: the next node, 43, is 81 mm away" in said
+    assert said.startswith("2 sensors are without a node in the model (tolerance ")
+    assert "sensor 202: the nearest node, 3, is 60 mm away" in said
+    assert "sensor 207: the nearest node, 43, is 81 mm away" in said
     for remedy in ("align: fit", "tolerance", "unmapped: leave_out"):
         assert remedy in said
 
@@ -286,11 +284,13 @@ def test_they_are_left_out_only_when_told_so() -> None:
     assert found.rows.tolist() == [0, 2, 3, 4, 5, 6, 7]
     assert found.sensors.nodes.tolist() == [201, 203, 204, 205, 206, 207, 208]
     assert [row.test_node for row in found.left_out] == [202]
-    assert found.notes[0].startswith("left out: 1 sensor is not seen by the model")
+    assert found.notes[0].startswith("left out: 1 sensor is without a node in the model")
 
 
 def test_leaving_out_all_sensors_is_refused() -> None:
-    with pytest.raises(CampaignError, match=r"8 sensors are not seen.*none is left"):
+    with pytest.raises(
+        CampaignError, match=r"8 sensors are without a node.*no other sensor remains"
+    ):
         mapped(at_nodes(plate(), MAPPED_NODES) + np.array([0.0, 0.0, 5e3]), unmapped="leave_out")
 
 
@@ -331,7 +331,7 @@ def test_two_model_nodes_in_one_place_are_told() -> None:
     found = map_sensors(
         sensors([201], [3]), geometry([201], mesh.coordinates[:1]), joint, section(), MM
     )
-    assert "is in the same place" in found.doubtful[0].reason
+    assert "has the same position" in found.doubtful[0].reason
 
 
 def test_points_without_coordinates_are_named() -> None:
@@ -358,7 +358,7 @@ def test_rotations_that_the_model_does_not_compute_are_refused_or_left_out() -> 
 
 def test_settings_about_places_need_coordinates() -> None:
     for keys in ({"align": "fit"}, {"scale": 2.0}, {"translation": [1, 2, 3]}):
-        with pytest.raises(CampaignError, match="hold no coordinates"):
+        with pytest.raises(CampaignError, match="the test has no coordinates"):
             map_sensors(sensors([1], [3]), None, plate(), section(**keys), MM)
 
 
@@ -380,7 +380,7 @@ def test_a_fit_that_stays_far_from_the_model_is_told() -> None:
     places = at_nodes(plate(), MAPPED_NODES)
     places[:, 2] += 35.0 * np.array([1, -1, 1, 1, -1, -1, 1, -1])
     found = mapped(places, align="fit", tolerance=60.0)
-    assert any("which is much: look at the picture" in what for what, _ in found.uncertain)
+    assert any("check the picture" in what for what, _ in found.uncertain)
     # What it leaves is told of each sensor, and as its root mean square.
     assert found.alignment is not None
     misfits = np.array([row.misfit for row in found.table])
@@ -407,10 +407,10 @@ def test_poses_that_cannot_be_told_apart_are_shown_and_asked_about() -> None:
     found = on_rectangle()
     assert len(found.others) == 3  # half turns about x, y and z
     ((what, remedy),) = found.uncertain
-    assert what.startswith("4 poses of the test fit alike and places cannot tell them apart")
+    assert what.startswith("4 poses of the test fit equally well")
     assert "rotation: [0, 0, 20], translation: [0, 0, 0]" in what
     assert "rotation: [0, 0, -160], translation: [800, 400, 0]" in what
-    assert "beside `align: fit`" in remedy
+    assert "with `align: fit`" in remedy
     assert "uncertain: 4 poses" in sensor_lines(found)[-1]
     assert sensors_json(found)["status"] == "doubtful"
 
@@ -462,7 +462,7 @@ def test_of_very_many_sensors_those_in_doubt_are_shown_and_few_are_named() -> No
     told = sensors_json(found)["sensors"]
     assert isinstance(told, list)
     assert len(told) == 3000
-    with pytest.raises(CampaignError, match=r"3000 sensors are not seen .*; and 2980 more\."):
+    with pytest.raises(CampaignError, match=r"3000 sensors are without a node .*; and 2980 more\."):
         map_sensors(measured, where, plate(), section(tolerance=0.01), MM)
 
 
@@ -486,7 +486,7 @@ def test_sensors_amid_a_flat_plate_may_slide_and_it_is_said() -> None:
         MM,
     )
     what, remedy = found.uncertain[0]
-    assert what.startswith("points may slide by up to ")
+    assert what.startswith("the fit leaves positions along the surface uncertain by up to ")
     assert "three or more landmarks" in remedy
 
 
@@ -529,7 +529,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     first, second = sensor_table(found).texts[:2]
     assert first == ["201.z", "1", "0", "0.000, 0.000, +1.000", "good", ""]
     assert second[:3] == ["202.z", "", "60"]
-    assert second[4:] == ["left out", "the next node, 3, is 60 mm away"]
+    assert second[4:] == ["left out", "the nearest node, 3, is 60 mm away"]
     assert lines[0].startswith("8 sensors: 7 good, 0 doubtful, 1 left out; tolerance ")
     assert lines[1] == "alignment: scale 1, rotation 0 degrees, translation 0, 0, 0 (given)"
     told = json.loads(json.dumps(sensors_json(found)))
@@ -537,7 +537,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert told["sensors"][1] == {
         "test_node": 202, "component": "z", "model_node": None, "distance": 60.0,
         "direction": [0.0, 0.0, 1.0], "verdict": "left out",
-        "reason": "the next node, 3, is 60 mm away", "misfit": None,
+        "reason": "the nearest node, 3, is 60 mm away", "misfit": None,
     }  # fmt: skip
     assert told["alignment"]["residual_rms"] is None
 
@@ -580,5 +580,5 @@ def test_a_model_without_places_cannot_be_drawn(tmp_path: Path) -> None:
 def test_more_sensors_than_can_be_told_of_are_refused_at_once() -> None:
     n = 1_000_000
     test = mode_set([10.0], np.ones((n, 1)), np.arange(n) + 1, np.full(n, 3))
-    with pytest.raises(CampaignError, match=r"has 1,000,000 sensors, at most 100,000 .* fewer"):
+    with pytest.raises(CampaignError, match=r"has 1,000,000 sensors, but at most 100,000 .* fewer"):
         map_sensors(test, None, plate(), section(), MM)

@@ -102,8 +102,10 @@ def test_poses_that_nothing_tells_apart_end_update_with_the_poses_to_paste(tmp_p
     (told,) = [item for item in report["findings"] if "mean MAC" in item["what"]]
     assert told["level"] == "doubtful"
     assert told["what"].startswith("measured shapes cannot tell its poses apart")
-    assert "beside `align: fit`" in told["remedy"]
-    assert not any("places cannot tell them apart" in item["what"] for item in report["findings"])
+    assert "with `align: fit`" in told["remedy"]
+    assert not any(
+        "poses of the test fit equally well" in item["what"] for item in report["findings"]
+    )
 
     # The same points on the same surface: neither searched again nor solved again.
     ended = run(tmp_path, "update", "plate.yaml", "--no-prefect", **INFO)
@@ -199,5 +201,5 @@ def test_check_tells_unit_and_stray_points_of_an_odd_universal_file(tmp_path: Pa
     assert stray["level"] == "doubtful"
     assert "mm away" in stray["what"]
     told = " ".join(item["what"] for item in report["findings"])
-    assert "1 of 9 test points lie far from the model and took no part in the fit" in told
+    assert "1 of 9 test points are far from the model and were left out of the fit" in told
     assert "8 sensors on 8 nodes" in told

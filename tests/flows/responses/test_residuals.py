@@ -109,13 +109,13 @@ def test_bad_weights_are_refused_with_their_line(
 
 def test_values_of_modes_that_are_not_used_are_refused(folder: Path) -> None:
     found = problems(folder, "  shape_deviation: {2: 0.1}\n", "test.use=[1, 4]")
-    assert "mode 2 is not used, so this would count for nothing" in found
+    assert "mode 2 is not used, so this has no effect" in found
 
 
 def test_steps_that_know_no_weights_refuse_them(folder: Path) -> None:
     text = "  frequency_weight: {1: 10}\n"
     found = problems(folder, text, "update.step=pseudo_inverse")
-    assert "`step: pseudo_inverse` knows no weights but 0" in found
+    assert "`step: pseudo_inverse` ignores weights other than 0" in found
     kept = loaded(folder, "  frequency_weight: {1: 0}\n", "update.step=pseudo_inverse")
     assert kept.case.weighting.frequency_weights.tolist() == [0.0, 1.0, 1.0]
 
@@ -123,7 +123,7 @@ def test_steps_that_know_no_weights_refuse_them(folder: Path) -> None:
 def test_sensors_of_a_test_without_shapes_are_refused(folder: Path) -> None:
     (folder / "measured.csv").write_text("mode,1,2\nfrequency_hz,10,20\n")
     found = problems(folder, "  sensor_deviation: {2.x: 2}\n")
-    assert "the test holds frequencies only, no sensors" in found
+    assert "the test has only frequencies, no sensors" in found
 
 
 TOLD = SHAPES.replace("2.x", "frequency_deviation,0.001,0.004,0.01\n2.x", 1)
@@ -158,7 +158,7 @@ def test_files_that_do_not_repeat_the_test_are_refused(folder: Path) -> None:
     assert "nowhere.csv cannot be read" in found
     (folder / "measured.csv").write_text(TOLD)
     found = problems(folder, "  {shape_weight: 1}\n", "test.repeats=[b.csv]")
-    assert "the test has deviations of its own" in found
+    assert "but the test has its own" in found
 
 
 @pytest.mark.parametrize("value", ["0", "-0.1"])

@@ -243,7 +243,7 @@ def test_a_nastran_deck_runs_on_the_first_program_that_takes_it(tmp_path: Path) 
     said = run_command(tmp_path, "modes", "stick.txt", "--solver", "calculix", "--number", "2")
     assert said.returncode == 0, said.stderr
     assert "solver:" not in said.stderr  # what was named needs no telling
-    assert "units: taken as in-slinch-s, since E 1e+07" in said.stderr
+    assert "units: assumed in-slinch-s, because E 1e+07" in said.stderr
 
 
 def test_only_what_looks_like_a_deck_is_one(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def test_a_doubt_about_units_is_no_error_is_told_and_is_accepted_by_its_name(
     file.write_text(text)
     settings = [f"store={tmp_path / 'store'}"]
     found = check_campaign(load_campaign(file, settings), run=False).findings
-    doubts = [item for item in found if "sound would travel" in item.what]
+    doubts = [item for item in found if "speed of sound" in item.what]
     assert [(item.level, item.where) for item in doubts] == [("doubtful", "model.units")]
     assert "`model.checks: [units]`" in doubts[0].remedy
     file.write_text(text.replace("m-kg-s}", "m-kg-s, checks: [units, size]}"))

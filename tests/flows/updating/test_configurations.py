@@ -545,7 +545,7 @@ BAD: list[tuple[str, str, int, str]] = [
         "part: m,",
         "part: wheel,",
         11,
-        "the deck of no configuration that is used has what m scales (part wheel)",
+        "no deck of a used configuration has the target of m (part wheel)",
     ),
     ("part: m,", "part: m, configurations: [full],", 11, "there is no configuration full"),
     ("part: m,", "part: payload, configurations: [empty],", 11, "payload"),

@@ -331,12 +331,12 @@ def test_the_weak_bar_of_a_lattice_tower_is_found_by_mystran(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (("quantity: youngs_modulus", "quantity: poissons_ratio"), "does not tell which elements"),
+        (("quantity: youngs_modulus", "quantity: poissons_ratio"), "does not report which"),
         (("zones: 3", "zones: 30"), "30 zones of 4 elements"),
-        (("update: {", "update: {step: trust_region, "), "its steps are `pulled_to_initial`"),
+        (("update: {", "update: {step: trust_region, "), "and needs `pulled_to_initial`"),
         (("{name: E, ", '{name: E, expression: "2", '), "a field has values of its own"),
         (("parameters:\n", "parameters:\n  - {name: E.zone2, quantity: density, material: A}\n"),
-         "line 5: the name E.zone2 is that of a field's zone too"),
+         "line 5: a zone of a field has the same name E.zone2"),
     ],
 )  # fmt: skip
 def test_a_field_that_cannot_be_is_told_with_its_line(

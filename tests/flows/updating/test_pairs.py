@@ -120,7 +120,10 @@ def test_without_the_mode_that_the_model_has_not_the_others_are_updated(tmp_path
 @pytest.mark.parametrize(
     ("pairs", "said"),
     [
-        ({7: 1}, r"line \d+: `pairs` names test mode 7, which the test has not; the nearest .* 5"),
+        (
+            {7: 1},
+            r"line \d+: `pairs` names test mode 7, which is not in the test; the nearest .* 5",
+        ),
         ({4: 5, 5: 5}, r"line \d+: `pairs` gives test modes 4 and 5 the same elastic mode 5"),
         ({4: 0}, r"line \d+: test.pairs.4: Input should be greater than or equal to 1; found 0"),
         ({"four": 1}, r"line \d+: test.pairs.four.*valid integer"),

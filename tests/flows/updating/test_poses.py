@@ -55,7 +55,7 @@ def test_poses_that_shapes_cannot_tell_apart_stop_the_update(bench: Any, tmp_pat
         update_from_starts(campaign, tmp_path / "run", Unwatched())
     assert raised.value.exit_code == 2
     assert "measured shapes cannot tell its poses apart" in str(raised.value)
-    assert "beside `align: fit`" in str(raised.value)
+    assert "with `align: fit`" in str(raised.value)
     assert bench.runs() == 1
 
 

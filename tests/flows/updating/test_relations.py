@@ -252,4 +252,4 @@ def test_relations_that_cannot_be_are_refused_in_one_line(
 def test_a_variable_that_nothing_names_is_refused(tmp_path: Path) -> None:
     own = "  - {name: E, quantity: youngs_modulus, material: 1}\n"
     path = campaign(tmp_path, stick(0.02), [15.0], own + WIDTH.splitlines()[0] + "\n", "nastran")
-    assert "nothing names the variable width" in problems(path)
+    assert "the variable width is not used" in problems(path)

@@ -416,11 +416,11 @@ def test_a_choice_that_nothing_may_be_kept_of_is_made_all_the_same(
     [
         (
             "parameters=[{name: nu, quantity: poissons_ratio, material: A1}]",
-            "the matrices are not polynomials in nu",
+            "the stiffness is not a polynomial in nu",
         ),
         (
             "sensitivity.method=finite_difference",
-            "sensitivities are asked for by finite_difference",
+            "sensitivity.method is finite_difference",
         ),
     ],
     ids=["Poisson's ratio", "finite differences"],
