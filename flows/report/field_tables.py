@@ -1,4 +1,4 @@
-"""Fields of a record for people and machines: which zones changed most, and the map of all."""
+"""Fields of a record: the zones that changed most, the map of a field, and its JSON."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SHOWN = 6
 class FieldMap:
     """A field on the elements of its part.
 
-    elements: (n,), their numbers; values, errors: (n,), of the zone of each, relative to the deck;
-    centres: (n, 3), global axes.
+    elements (n,) are their numbers; values and errors (n,) those of their zones, relative to the
+    deck; centres (n, 3) are in global axes.
     """
 
     name: str
@@ -32,7 +32,7 @@ class FieldMap:
 
 
 def field_map(record: CampaignRecord, found: FieldAnswer) -> FieldMap:
-    """The map of a field of a record."""
+    """Return the map of one field of a record."""
     field = found.field
     columns = field.columns[field.owners]
     values, errors = record.updated[columns], record.standard_errors[columns]
@@ -40,8 +40,8 @@ def field_map(record: CampaignRecord, found: FieldAnswer) -> FieldMap:
 
 
 def brief_record(record: CampaignRecord) -> CampaignRecord:
-    """The record as tables and charts of single parameters show it: of each field the zones alone
-    that changed most."""
+    """Return the record with only those zones of each field that changed most, for tables and
+    charts of single parameters."""
     if not record.fields:
         return record
     places, n = _shown_columns(record), len(record.parameters)
@@ -72,11 +72,11 @@ def brief_record(record: CampaignRecord) -> CampaignRecord:
 
 
 def _more(count: int) -> tuple[str, ...]:
-    return (f"and {count} cards more, each with a comment in the updated deck",) * (count > 0)
+    return (f"and {count} more cards, each with a comment in the updated deck",) * (count > 0)
 
 
 def _shown_columns(record: CampaignRecord) -> list[int]:
-    """All but zones of fields, and of each field those that changed most, in their order."""
+    """Columns of parameters outside fields and of the zones that changed most, in order."""
     zones: set[int] = set()
     kept: set[int] = set()
     changes = np.abs(record.updated - record.parameters.initial)
@@ -88,12 +88,12 @@ def _shown_columns(record: CampaignRecord) -> list[int]:
 
 
 def fields_json(record: CampaignRecord) -> list[Json]:
-    """The key `fields` of `modetune update --json`: each zone with its elements, value and error,
-    and what the test says of it alone."""
-    return [_told(record, item) for item in record.fields]
+    """Return the key `fields` of `modetune update --json`: each zone with elements, value, error,
+    and the fit of that zone alone."""
+    return [_field_json(record, item) for item in record.fields]
 
 
-def _told(record: CampaignRecord, found: FieldAnswer) -> Json:
+def _field_json(record: CampaignRecord, found: FieldAnswer) -> Json:
     field, names = found.field, record.parameters.names
     columns = field.columns.tolist()
     zones = [

@@ -59,10 +59,7 @@ def residual_form(
 
 @dataclass(frozen=True, slots=True)
 class FormVerdict:
-    """What updating left, judged by measurement noise, and the sentence for people.
-
-    labels: what each entry that took part is of.
-    """
+    """The test for model-form error, the labels of the residuals in it, and a sentence."""
 
     form: ModelForm
     labels: tuple[str, ...]
@@ -70,10 +67,7 @@ class FormVerdict:
 
 
 def record_verdict(record: CampaignRecord) -> FormVerdict | None:
-    """The verdict on a campaign that has ended, by the last sensitivity it had; runs nothing.
-
-    None where it ended without a sensitivity.
-    """
+    """Return the verdict on a finished campaign from its last sensitivity; None without one."""
     best = record.best
     size = best.residual.values.size, len(record.parameters)
     had = [
@@ -105,13 +99,13 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
 
 
 def verdict_summary(record: CampaignRecord) -> Json:
-    """The key `model_form` of `modetune update --json`; null where nothing can be said."""
+    """Return the key `model_form` of `modetune update --json`; null without a sensitivity."""
     found = record_verdict(record)
     return None if found is None else form_json(found.form, found.labels, found.sentence)
 
 
 def form_json(form: ModelForm, labels: tuple[str, ...], sentence: str) -> Json:
-    """The same of any state."""
+    """Return the JSON of a test for model-form error."""
     return json_object(
         form,
         "suspected p_value level times_noise",

@@ -1,4 +1,4 @@
-"""The tables of iterations: how they went, what they cost, and the jobs behind them."""
+"""Tables of iterations: their progress, costs, and jobs."""
 
 from __future__ import annotations
 
@@ -14,33 +14,31 @@ from modetune.flows.report.tables import Column, Table, table_of
 
 @dataclass(frozen=True, slots=True)
 class IterationRow:
-    """An evaluated parameter set: how near the test it is, what was decided, and what it cost.
+    """An evaluated point: its agreement with the test, the decision, and the cost.
 
-    sensitivity: by what method and how old that of the step to it was, and whether e2 skipped a
-    new one here.
+    sensitivity has method and age of the sensitivity behind the step to this point, and whether e2
+    skipped a new one.
     """
 
     iteration: Annotated[int, Column("iteration")]
     largest_error: Annotated[float, Column("largest error", "%", ".2f")]
     mean_error: Annotated[float, Column("mean error", "%", ".2f")]
-    least_mac: Annotated[float, Column("least MAC", form=".3f")]
+    least_mac: Annotated[float, Column("lowest MAC", form=".3f")]
     misfit: Annotated[float, Column("weighted residual", form=".3g")]
     slope: Annotated[float, Column("slope", form=".2g")]
-    sensitivity: Annotated[str, Column("sensitivity of the step here")]
+    sensitivity: Annotated[str, Column("sensitivity of the step")]
     kept: Annotated[bool, Column("kept")]
     decision: Annotated[str, Column("decision")]
     modal_runs: Annotated[int, Column("modal runs")]
     sensitivity_runs: Annotated[int, Column("sensitivity runs")]
-    reused: Annotated[int, Column("answered by the store")]
+    reused: Annotated[int, Column("cached")]
     core_minutes: Annotated[float, Column("core-minutes", form=".3g")]
     licence_minutes: Annotated[float, Column("licence-minutes", form=".3g")]
     wall_s: Annotated[float, Column("time", "s", ".1f")]
 
 
-#: How iterations went, and what they cost.
+#: Columns of the two tables.
 PROGRESS = "iteration largest_error mean_error least_mac misfit slope sensitivity kept decision"
-
-
 COSTS = "iteration modal_runs sensitivity_runs reused core_minutes licence_minutes wall_s"
 
 
@@ -66,13 +64,13 @@ def iteration_row(item: IterationRecord) -> IterationRow:
 
 
 def iteration_table(iterations: Sequence[IterationRecord]) -> Table:
-    """A line an evaluated parameter set, with what was decided there."""
+    """Return a table with one row per evaluated point."""
     rows = [iteration_row(item) for item in iterations]
     return table_of("Iterations", rows, IterationRow, PROGRESS)
 
 
 def run_table(record: CampaignRecord) -> Table:
-    """Solver runs of each iteration and what they cost, failed ones counted too."""
+    """Return the table of solver runs and costs of each iteration, including failed runs."""
     runs = record.runs
     total = (
         "all",
@@ -103,6 +101,6 @@ def _sensitivity(item: IterationRecord) -> str:
     if not item.sensitivity_methods:
         return ""
     methods = ", ".join(dict.fromkeys(name.replace("_", " ") for name in item.sensitivity_methods))
-    age = f", {item.sensitivity_age} old" if item.sensitivity_age else ""
-    skipped = "; no new one here (e2)" if item.sensitivity_skipped else ""
+    age = f", {item.sensitivity_age} iterations old" if item.sensitivity_age else ""
+    skipped = "; new one skipped (e2)" if item.sensitivity_skipped else ""
     return f"{methods}{age}{skipped}"

@@ -1,7 +1,4 @@
-"""The tables of measured modes and their partners: before and after, and in one iteration.
-
-"before" is the model before updating, "after" the updated one.
-"""
+"""Tables of measured modes and their partners before and after updating, and in one iteration."""
 
 from __future__ import annotations
 
@@ -20,8 +17,8 @@ from modetune.flows.report.tables import Column, Table, columns_of, table_of
 class ModeRow:
     """A measured mode and its partner before and after; errors are relative, a MAC may be NaN.
 
-    label: what people call it behind the word "mode"; elastic_mode: of the model, from 1;
-    frequency_weight, frequency_deviation: of the measured frequency, 0 leaves it out.
+    label follows the word "mode"; elastic_mode is the model's, from 1; frequency_weight and
+    frequency_deviation are those of the measured frequency, weight 0 leaves it out.
     """
 
     mode: int
@@ -43,7 +40,7 @@ class ModeRow:
 
 @dataclass(frozen=True, slots=True)
 class PairRow:
-    """A measured mode and its partner in one iteration; subspace_mac: with all close modes."""
+    """A measured mode and its partner in one iteration; subspace_mac includes close modes."""
 
     label: Annotated[str, Column("test mode")]
     elastic_mode: Annotated[int, Column("elastic mode")]
@@ -52,37 +49,37 @@ class PairRow:
     error: Annotated[float, Column("error", "%", "+.2f")]
     mac: Annotated[float, Column("MAC", form=".3f")]
     subspace_mac: Annotated[float, Column("MAC with close modes", form=".3f")]
-    reason: Annotated[str, Column("why")]
+    reason: Annotated[str, Column("reason")]
 
 
 def mode_label(record: CampaignRecord, place: int) -> str:
-    """What the test's mode at a place is called behind the word "mode": 3, or 3 of fuelled."""
+    """Return the label of a test mode, which follows the word "mode": 3, or 3 of fuelled."""
     of = record.configurations[place] if record.configurations else ""
     return mode_name(record.test.numbers[place], of).removeprefix("mode ")
 
 
 def mode_labels(record: CampaignRecord) -> list[str]:
-    """What the test's modes are called, in its order."""
+    """Return the labels of all test modes, in the test's order."""
     return [mode_label(record, place) for place in range(len(record.test.numbers))]
 
 
 def unmatched_modes(record: CampaignRecord) -> tuple[int, ...]:
-    """Places of the test's modes that were left out, as no computed mode answers them."""
+    """Return the positions of test modes without a partner."""
     paired = record.iterations[0].pairing.measured
     return tuple(np.setdiff1d(np.arange(len(record.test.numbers)), paired).tolist())
 
 
 def unmatched_sentence(record: CampaignRecord) -> str:
-    """That modes were left out; empty where none was."""
+    """Return a sentence on test modes without a partner, "" if there are none."""
     names = [mode_label(record, place) for place in unmatched_modes(record)]
     if not names:
         return ""
     said = "mode " + names[0] if len(names) == 1 else "modes " + ", ".join(names)
-    return f"No computed mode answers {said} of the test: nothing was compared with it."
+    return f"No computed mode is paired with {said} of the test, so updating left it out."
 
 
 def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
-    """Every measured mode, in the order of the pairs."""
+    """Return a row for each paired mode, in the order of the pairs."""
     first, last, rows = record.iterations[0], record.best, []
     variances = first.residual.variances  # of eigenvalues: twice the frequency's deviation
     for pair, measured in enumerate(first.pairing.measured.tolist()):
@@ -110,9 +107,9 @@ def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:
 
 
 def mode_table(record: CampaignRecord) -> Table:
-    """Frequencies, errors and MAC before and after; what e1 does not allow is outside.
+    """Return frequencies, errors and MAC before and after; values that violate e1 are marked.
 
-    Weights and deviations are shown where they differ, MAC where shapes were measured.
+    Weights and deviations appear if they differ, MAC if shapes were measured.
     """
     rows = mode_rows(record)
     alike = [
@@ -140,7 +137,7 @@ def mode_table(record: CampaignRecord) -> Table:
 
 
 def pair_table(record: CampaignRecord, item: IterationRecord) -> Table:
-    """The pairs of an iteration with their reasons."""
+    """Return the pairs of an iteration with their reasons."""
     pairing = item.pairing
     rows = [
         PairRow(
@@ -164,7 +161,7 @@ def pair_table(record: CampaignRecord, item: IterationRecord) -> Table:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutRow:
-    """A mode that took no part in updating, before and after; NaN where it was not found."""
+    """A held-out mode before and after; NaN if it has no partner."""
 
     test: int
     configuration: str | None
@@ -180,7 +177,7 @@ class HeldOutRow:
 
 
 def held_out_rows(held: HeldOut | None) -> tuple[HeldOutRow, ...]:
-    """Every mode that was held out; none where nothing was."""
+    """Return a row for each held-out mode."""
     if held is None:
         return ()
     return tuple(
@@ -202,14 +199,14 @@ def held_out_rows(held: HeldOut | None) -> tuple[HeldOutRow, ...]:
 
 
 def held_out_table(held: HeldOut | None) -> Table:
-    """Modes that were held out, before and after; those that got worse are outside."""
+    """Return the held-out modes before and after; those that got worse are marked."""
     rows = held_out_rows(held)
     worse = [(place, "") for place, row in enumerate(rows) if row.worse]
     return table_of("Held out: not used for updating", rows, HeldOutRow, outside=worse)
 
 
 def held_out_lines(held: HeldOut | None) -> list[str]:
-    """A sentence for each held-out mode that got worse."""
+    """Return a sentence for each held-out mode that got worse."""
     return (
         []
         if held is None

@@ -1,9 +1,8 @@
-"""The report: one HTML file that holds everything it shows and asks nothing of a network.
+"""The report: one self-contained HTML file without network access.
 
-The page's policy lets run only the scripts that are written into it, named by their hashes, and
-forbids every connection. What users wrote (names, reasons, the campaign) goes in as escaped text or
-as JSON, never as markup. Charts and shapes are values that the page's own scripts draw, the charts
-when they come into sight.
+The page's security policy allows only its own scripts, identified by their hashes, and no
+connections. Text from users (names, reasons, the campaign) is escaped or JSON, never markup. The
+page's scripts draw charts and shapes from values, charts when they scroll into view.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from modetune.flows.report.scene import Scene, scene, scene_json
 from modetune.flows.report.tables import Table, signed
 
 HERE = Path(__file__).resolve().parent
-#: Singular values that are written out, the largest: a field has hundreds.
+#: Maximum number of singular values to print: a field has hundreds.
 MOST_NUMBERS = 40
 
 
@@ -65,7 +64,7 @@ def write_page(record: CampaignRecord, path: Path) -> Path:
 
 
 def write_chart(path: Path, chart: Chart) -> Path:
-    """Write one chart as a page that answers the pointer. Raises StorageUnavailable."""
+    """Write one chart as an interactive page. Raises StorageUnavailable."""
     return written_page(path, "chart.html", f"{chart.title} - modetune", {"chart": chart})
 
 
@@ -83,7 +82,7 @@ def written_page(
 
 
 def page(record: CampaignRecord) -> str:
-    """The report of a campaign as HTML."""
+    """Return the report of a campaign as HTML."""
     shown, brief = scene(record), brief_record(record)
     charts, comac = _charts(record, shown), _comac(record, shown)
     scripts = tuple(_asset(name) for name in SCRIPTS)
@@ -148,9 +147,9 @@ def _templates() -> Environment:
 
 
 def prose(text: str) -> Markup:
-    """A sentence as prose: a capital first (but of e1, e2 and files), a stop last, a real minus.
+    """Format a sentence: a capital first (except e1, e2 and files), a stop last, a real minus.
 
-    A percent sign stays on the line of its number; text between backticks is code.
+    A percent sign stays with its number; text between backticks is code.
     """
     if not text[1:2].isdigit() and "." not in text.partition(" ")[0].rstrip(".,:"):
         text = text[:1].upper() + text[1:]
@@ -164,7 +163,7 @@ def prose(text: str) -> Markup:
 
 
 def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Chart]:
-    """Every chart of the page under its name; shapes over the sensors only without a scene."""
+    """All charts of the page by name; shapes over the sensors only without a scene."""
     found = dict(campaign_charts(record))
     if shown is not None:
         found.pop("sensor_shapes", None)
@@ -172,7 +171,7 @@ def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Chart]:
 
 
 def _comac(record: CampaignRecord, shown: Scene | None) -> Json:
-    """The least COMAC of each point of the scene, before and after; null without one."""
+    """The minimum COMAC of each point of the scene, before and after; null without a scene."""
     agreement = sensor_agreement(record) if record.test.has_shapes else None
     if agreement is None or shown is None or not shown.nodes.size:
         return None
@@ -188,13 +187,13 @@ def _tolerance(record: CampaignRecord) -> str:
         return ""
     mac = "" if not record.test.has_shapes else f" and a MAC of at least {record.e1_mac:g}"
     return (
-        f"The campaign asks for frequencies within {percent(record.e1_frequency, 3, sign=False)}"
-        f"{mac} (e1); what is outside is marked."
+        f"Tolerance e1: frequencies within {percent(record.e1_frequency, 3, sign=False)}{mac}; "
+        "values outside are marked."
     )
 
 
 def _trust(record: CampaignRecord) -> dict[str, Any] | None:
-    """The verdict's reasons, and the numbers behind them; None where there is none."""
+    """The reasons of the verdict and the numbers behind it; None without a verdict."""
     trust = record.trust
     if trust is None:
         return None
@@ -204,9 +203,9 @@ def _trust(record: CampaignRecord) -> dict[str, Any] | None:
         form = None  # it is among the sentences
     singular = ", ".join(number(value, ".3g") for value in found.singular_values[:MOST_NUMBERS])
     numbers = (
-        "Singular values of the weighted sensitivity (standard deviations of the test by which one "
-        "deviation of a combination of parameters moves it; below 1 the test knows less than was "
-        f"known beforehand): {singular}; "
+        "Singular values of the weighted sensitivity (change of the responses in standard "
+        "deviations per prior standard deviation of a parameter combination; below 1 the prior "
+        f"dominates): {singular}; "
         f"condition {number(found.condition, '.3g')}; collinearity index of all parameters "
         f"{number(found.collinearity.whole, '.3g')}."
     )
@@ -222,13 +221,13 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
     """Return what reproduces the numbers in addition to the campaign."""
     spread = None if record.trust is None else record.trust.spread
     drawn = (
-        "none are used: the same inputs give the same steps"
+        "not used"
         if spread is None
-        else (f"starts 2 to {len(spread.outcomes)}, drawn with seed {spread.seed}; steps use none")
+        else f"starts 2 to {len(spread.outcomes)}, drawn with seed {spread.seed}; not in steps"
     )
-    # Records of before have a digest of the job's content, without a file's name.
+    # Older records have a digest of the job's content, without a file name.
     is_file = " " in record.deck_digest
-    deck = "deck, as sha256sum tells it" if is_file else "content key of the deck"
+    deck = "SHA-256 of the deck" if is_file else "content key of the deck"
     return [
         ("modetune", record.modetune_version),
         ("solver", f"{record.solver} {record.solver_version}"),
@@ -242,7 +241,6 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
 
 
 def _frame(title: str, scripts: tuple[str, ...]) -> dict[str, Any]:
-    """What every page has: title, style, scripts and policy."""
     return {
         "title": title,
         "style": Markup(_asset("page.css")),
@@ -270,7 +268,7 @@ def _asset(name: str) -> str:
 def check_page(path: Path | None) -> None:
     """Refuse a page of another kind of file before the work is done. Raises CampaignError."""
     if path is not None and (path.suffix.lower() not in (".html", ".htm") or path.is_dir()):
-        raise CampaignError(f"--page {path}: a page is a file that ends in .html")
+        raise CampaignError(f"--page {path}: expected a file name that ends in .html")
 
 
 def write_study(
@@ -281,9 +279,9 @@ def write_study(
     doubts: Sequence[str],
     charts: Mapping[str, object],
 ) -> Path:
-    """Write a study's page, of its charts those that are no pictures. Raises StorageUnavailable.
+    """Write a study's page with its interactive charts. Raises StorageUnavailable.
 
-    title: the study's name and the campaign's; doubts: those of the lines that come first.
+    title has the study's name and the campaign's; doubts are the lines that come first.
     """
     kind, name = title
     return written_page(

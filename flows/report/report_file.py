@@ -1,4 +1,7 @@
-"""The report file of a run folder; a failure to draw it does not fail the campaign."""
+"""The report file of a run folder, whose failure never fails the campaign.
+
+A separate file, because importing the page with its charts takes a moment.
+"""
 
 from __future__ import annotations
 
@@ -31,15 +34,15 @@ FAILURES = (
 
 
 def draw_report(record: CampaignRecord, folder: Path) -> Path | None:
-    """Write the run folder's report; None with a warning where that fails."""
+    """Write a run folder's report; return None with a warning on failure."""
     try:
-        from modetune.flows.report.page import write_page  # drawing takes a moment to import
+        from modetune.flows.report.page import write_page
 
         return write_page(record, folder / PAGE)
     except FAILURES as error:
         logger.warning(
-            "the report of %s could not be drawn (%s: %s); the record and the updated deck are "
-            "not touched by that, `modetune report %s` tries again",
+            "the report of %s failed (%s: %s), but record and updated deck are complete; retry "
+            "with `modetune report %s`",
             record.name,
             type(error).__name__,
             error,

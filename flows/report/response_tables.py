@@ -18,7 +18,7 @@ from modetune.flows.responses.response import ResponseSection
 
 @dataclass(frozen=True, slots=True)
 class ResponseRow:
-    """A measured value and the model's, in its own unit; NaN where it is a limit alone."""
+    """A measured value and the model's, in the same unit; NaN for a mere limit."""
 
     kind: str
     item: Annotated[str, Column("response")]
@@ -32,7 +32,7 @@ class ResponseRow:
 
 
 def response_rows(record: CampaignRecord) -> tuple[ResponseRow, ...]:
-    """Every value that people want to see as it was measured; none where there is none."""
+    """Return a row for each response other than frequencies and shapes."""
     return tuple(_rows(record))
 
 
@@ -66,7 +66,7 @@ def _rows(record: CampaignRecord) -> Iterator[ResponseRow]:
 
 
 def response_table(record: CampaignRecord) -> Table:
-    """The same as a table; what a limit does not allow is outside."""
+    """Return the table of other responses; values that violate a limit are marked."""
     rows = response_rows(record)
     broken = [(place, "updated") for place, row in enumerate(rows) if row.breaks]
     return table_of("Other responses", rows, ResponseRow, outside=broken)

@@ -1,12 +1,12 @@
-"""Tables of results: rows that follow from a result, columns described once, one renderer a reader.
+"""Tables of results for terminal, page, JSON, Prefect and data frames.
 
-A row is a frozen dataclass, and each field that people see says how in its type:
+A row is a frozen dataclass; the type of each visible field describes its column:
 
     test_hz: Annotated[float, Column("test", "Hz")]
 
-The field's name is the key in JSON and the column of a data frame; the heading is what stands over
-it on a terminal, in a page and in Prefect's tables. Where the columns depend on the result (one a
-mode, one a parameter) a table is made of columns and rows of plain values instead.
+The field's name is the key in JSON and the column of a data frame; the heading appears on the
+terminal, in pages and in Prefect's tables. If the columns depend on the result (one per mode or
+parameter), a table consists of columns and rows of plain values instead.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
     from rich.text import Text
 
-#: How what is outside of what was asked for looks on a terminal.
+#: Terminal style of values outside their tolerance.
 OUTSIDE = "bold red"
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """How the values of one column are headed and written.
+    """The heading and format of one column.
 
-    unit: behind the heading; values in % are kept as shares of one. form: of numbers, as in
-    f-strings; frequencies have five digits without one. unknown: the text of NaN. words: whether
-    it has texts, which are aligned to the left. name: of the field.
+    unit follows the heading; values in % are stored as fractions. form is a format as in f-strings;
+    without it frequencies have five digits. unknown is the text of NaN. words aligns texts to the
+    left. name is that of the field.
     """
 
     heading: str
@@ -53,7 +53,7 @@ class Column:
         return f"{self.heading}, {self.unit}" if self.unit else self.heading
 
     def shown(self, value: Any) -> str:
-        """A value as people read it."""
+        """Return the text of a value."""
         if hasattr(value, "tolist"):  # numbers and arrays of numpy
             value = value.tolist()
         if value is None or isinstance(value, str):
@@ -69,16 +69,16 @@ class Column:
         if self.unit == "Hz" and not self.form:
             return hertz(value)
         text = format(100.0 * value if self.unit == "%" else value, self.form or ".4g")
-        # What rounds to nothing has no sign.
+        # A number that rounds to zero has no sign.
         return text if float(text) else text.lstrip("+-")
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table for people: columns, rows of values, and rows below that sum them up.
+    """A table: columns, rows of values, and summary rows in the foot.
 
-    outside: place of a row and name of a column where a value is outside of what was asked for; a
-    the name "" marks the whole row.
+    outside has the row and the column's name of each value outside its tolerance; the name ""
+    marks the whole row.
     """
 
     title: str
@@ -92,7 +92,7 @@ class Table:
 
     @property
     def texts(self) -> list[list[str]]:
-        """Every row as people read it."""
+        """The texts of all rows."""
         return [_texts(self.columns, row) for row in self.rows]
 
     @property
@@ -108,10 +108,10 @@ def table_of(
     foot: Sequence[Sequence[Any]] = (),
     outside: Iterable[tuple[int, str]] = (),
 ) -> Table:
-    """A table of rows of one kind.
+    """Return a table of rows of one class.
 
-    kind: the rows' class, or columns of which each has the name of an attribute; only: names of
-    the columns that are shown, all if left out.
+    kind is that class, or columns named after attributes; only lists the names of the columns to
+    show, all if it is empty.
     """
     columns = columns_of(kind) if isinstance(kind, type) else tuple(kind)
     if only:
@@ -123,7 +123,7 @@ def table_of(
 
 @cache
 def columns_of(kind: type) -> tuple[Column, ...]:
-    """The columns of a class of rows, in the order of its fields."""
+    """Return the columns of a class of rows, in the order of its fields."""
     found = []
     for name, hint in get_type_hints(kind, include_extras=True).items():
         if get_origin(hint) is not Annotated:
@@ -138,13 +138,13 @@ def columns_of(kind: type) -> tuple[Column, ...]:
 
 
 def terminal_table(table: Table) -> TerminalTable:
-    """For a terminal, by Rich."""
+    """Return a table as Rich's."""
     from rich.table import Table as TerminalTable
     from rich.text import Text
 
     made = TerminalTable(title=Text(table.title) if table.title else None, title_justify="left")
     for column in table.columns:
-        # Short texts, names above all, stay whole.
+        # Do not truncate names.
         made.add_column(
             Text(column.head), justify="left" if column.words else "right", overflow="fold"
         )
@@ -162,7 +162,7 @@ def terminal_table(table: Table) -> TerminalTable:
 
 
 def show(parts: Iterable[Table | Text | str], console: Console | None = None) -> None:
-    """Print tables that have rows, and sentences, on the terminal or another console."""
+    """Print sentences and nonempty tables on the terminal or another console."""
     from rich.text import Text
 
     from modetune.flows.report.terminal import terminal
@@ -170,7 +170,7 @@ def show(parts: Iterable[Table | Text | str], console: Console | None = None) ->
     console = console or terminal()
     for part in parts:
         if not isinstance(part, Table):
-            # A line stays a line where the output is not a terminal.
+            # Do not wrap lines in files and pipes.
             console.print(Text(part) if isinstance(part, str) else part, soft_wrap=True)
         elif part.rows:
             if part.title:  # Rich's own title is as narrow as the table
@@ -179,7 +179,7 @@ def show(parts: Iterable[Table | Text | str], console: Console | None = None) ->
 
 
 def artifact_rows(table: Table) -> list[Json]:
-    """For Prefect's own kind of table, which sorts whole numbers: what stands under each head."""
+    """Return rows for Prefect's tables, with integers as numbers, so that they sort."""
     heads = [column.head for column in table.columns]
     return [
         {
@@ -191,7 +191,7 @@ def artifact_rows(table: Table) -> list[Json]:
 
 
 def frame(rows: Sequence[Any], kind: type) -> pd.DataFrame:
-    """Rows of a class as a data frame: a column a field, whether people are shown it or not."""
+    """Return rows of a class as a data frame with one column per field."""
     import pandas as pd  # takes half a second, and a campaign needs none
 
     names = [item.name for item in dataclasses.fields(kind)]
@@ -199,9 +199,9 @@ def frame(rows: Sequence[Any], kind: type) -> pd.DataFrame:
 
 
 def json_of(value: Any) -> Json:
-    """A result for machines: dataclasses as objects of their fields, arrays as lists.
+    """Return a result as JSON: dataclasses as objects of their fields, arrays as lists.
 
-    A number that is not finite is null. Raises TypeError for what JSON has no form of.
+    Numbers that are not finite become null. Raises TypeError for unsupported types.
     """
     if value is None or isinstance(value, str | bool | int):
         return value.value if isinstance(value, Enum) else value
@@ -221,19 +221,19 @@ def json_of(value: Any) -> Json:
 
 
 def json_object(result: object = None, names: str = "", **named: Any) -> dict[str, Json]:
-    """The `--json` object of a result: attributes of these names, and others by their own."""
+    """Return the `--json` object of a result: the named attributes, and other values."""
     found = {name: json_of(getattr(result, name)) for name in names.split()}
     return found | {name: json_of(value) for name, value in named.items()}
 
 
 def hertz(value: float) -> str:
-    """A frequency with five significant digits, three decimals at most."""
+    """Return a frequency with five significant digits and at most three decimals."""
     decimals = min(3, max(0, 4 - math.floor(math.log10(abs(value))))) if value else 3
     return f"{value:.{decimals}f}"
 
 
 def signed(text: str) -> str:
-    """A number with a typographic minus; what is not known is a dash."""
+    """Return a number with a typographic minus, a dash if it is unknown."""
     return "\N{EN DASH}" if text == "-" else text.replace("-", "\N{MINUS SIGN}")
 
 

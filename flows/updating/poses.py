@@ -82,7 +82,8 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     macs = np.array([_mean_mac(case, item, result) for item in mappings])
     order = np.argsort(-macs, kind="stable")
     poses = [f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order]
-    told = "; ".join(poses[:LISTED_POSES]) + (f" and {len(poses) - LISTED_POSES} more" if poses[LISTED_POSES:] else "")
+    more = len(poses) - LISTED_POSES
+    told = "; ".join(poses[:LISTED_POSES]) + (f" and {more} more" if more > 0 else "")
     best, next_best = macs[order[:2]]
     if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
         return case, f"measured shapes cannot tell its poses apart: {told}"

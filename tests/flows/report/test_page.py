@@ -115,7 +115,7 @@ def test_parameters_have_units_and_errors_in_percent(record: CampaignRecord) -> 
 
 def test_the_decks_digest_is_called_what_it_is(record: CampaignRecord) -> None:
     told = replace(record, deck_digest="e" * 64 + "  plate.inp")
-    assert "deck, as sha256sum tells it" + "e" * 64 + "  plate.inp" in Outline(page(told)).text
+    assert "SHA-256 of the deck" + "e" * 64 + "  plate.inp" in Outline(page(told)).text
     assert "content key of the deck" in Outline(page(record)).text
     bare = Outline(page(replace(record, deck_digest=""))).text
     assert "sha256sum" not in bare
@@ -263,7 +263,7 @@ def test_a_report_that_cannot_be_drawn_is_a_warning(
 ) -> None:
     broken = replace(record, iterations=())
     assert draw_report(broken, tmp_path) is None
-    assert "the report of plate could not be drawn (IndexError" in caplog.text
+    assert "the report of plate failed (IndexError" in caplog.text
     assert not list(tmp_path.iterdir())
 
 
@@ -272,4 +272,4 @@ def test_a_folder_that_is_no_folder_is_a_warning(
 ) -> None:
     (tmp_path / "file").write_text("")
     assert draw_report(record, tmp_path / "file") is None
-    assert "could not be drawn" in caplog.text
+    assert "the report of plate failed" in caplog.text

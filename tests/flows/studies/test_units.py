@@ -71,8 +71,9 @@ def test_a_dummy_film_raises_no_doubt_and_wrong_units_do(tmp_path: Path, kind: s
     assert unit_doubt("mm-t-s", solver) == ""
     doubt = unit_doubt("m-kg-s", solver)
     # sqrt(210000 / 7.8e-9) = 5.19e6 of the deck's length a second.
-    assert "at 5.19e+06 m/s in material " in doubt
-    assert doubt.endswith("of which most of the mass is; mm-t-s would fit")
+    assert "has a speed of sound of 5.19e+06 m/s" in doubt
+    assert "with most of the mass" in doubt
+    assert doubt.endswith("; mm-t-s would fit")
 
 
 def test_sizes_of_cells_are_those_of_boxes_and_near_those_of_others() -> None:

@@ -334,7 +334,7 @@ def test_the_weak_bar_of_a_lattice_tower_is_found_by_mystran(tmp_path: Path) -> 
         (("quantity: youngs_modulus", "quantity: poissons_ratio"), "does not report which"),
         (("zones: 3", "zones: 30"), "30 zones of 4 elements"),
         (("update: {", "update: {step: trust_region, "), "and needs `pulled_to_initial`"),
-        (("{name: E, ", '{name: E, expression: "2", '), "a field has values of its own"),
+        (("{name: E, ", '{name: E, expression: "2", '), "a field has its own values"),
         (("parameters:\n", "parameters:\n  - {name: E.zone2, quantity: density, material: A}\n"),
          "line 5: a zone of a field has the same name E.zone2"),
     ],

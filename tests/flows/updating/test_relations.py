@@ -233,7 +233,7 @@ def test_two_springs_that_follow_one_number_have_its_exact_derivative(tmp_path: 
         (", deviation: 0.006", "", "absolute values need `deviation`"),
         ("width * 0.03", "__import__('os').system('x')", "is not arithmetic"),
         ("width * 0.03", "height * 0.03", "names height; it may name the free parameters"),
-        ("width * 0.03", "width * 0.03, initial: 2.0", "`expression` gives the value"),
+        ("width * 0.03", "width * 0.03, initial: 2.0", "`expression` defines the value"),
         ("width * 0.03", "0.03 / (width - 0.02)", "divides by zero at width = 0.02"),
         ("width * 0.03", "0.03 * (width - 0.015)", "area would be -0.00015, it is above zero"),
         ("width * 0.03", "sqrt(width - 0.015)", "has no finite value at width = 0.01"),

@@ -79,7 +79,7 @@ def test_both_cases_of_the_thesis_end_alike_on_mystran_and_skips_are_shown(
     with h5py.File(run / "campaign.h5") as file:
         marks = [bool(item.attrs["sensitivity_skipped"]) for item in file["iterations"].values()]
     assert sum(marks) == skipping["sensitivity_skipped"]
-    assert (run / "report.html").read_text().count("no new one here (e2)") == sum(marks)
+    assert (run / "report.html").read_text().count("new one skipped (e2)") == sum(marks)
     shown = skipped_tasks(server_base, "case-1")
     # A task a column that was spared, with the slope and what it is held against.
     assert len(shown) == len(FOUR) * sum(marks)
