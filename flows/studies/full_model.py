@@ -60,7 +60,7 @@ class FullModel:
     def every_motion(self) -> tuple[Integers, Integers, sparse.csr_array]:
         """All motions that nodes have: nodes, components (n_dof,), and their matrix.
 
-        What the matrices do not tell (rotations of expanded shells) is not among them.
+        Motions that the matrices lack (rotations of expanded shells) are left out.
         """
         summary = self.campaign.case.solver.deck.summary
         ids = np.array(sorted(summary.node_ids), dtype=np.int64)
@@ -73,12 +73,12 @@ class FullModel:
     def seen(self, wanted: Observation, names: Dofs) -> tuple[MeasuredModel, Integers]:
         """The model with these motions for unknowns; places of those that can move.
 
-        Raises CampaignError for one that the matrices do not tell, or where none can move.
+        Raises CampaignError if the matrices lack a motion, or if no motion is free.
         """
         unknown = [dof_name(names[place]) for place in np.flatnonzero(wanted.unknown)]
         if unknown:
             raise CampaignError(
-                f"the matrices of {self.campaign.solver_name} do not tell the motion of "
+                f"the matrices of {self.campaign.solver_name} do not contain the motion of "
                 f"{', '.join(unknown[:5])}; leave it out"
             )
         moving = np.flatnonzero(~wanted.held).astype(np.int64)

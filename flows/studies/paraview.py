@@ -88,8 +88,8 @@ def _campaign_file(folder: Path, record: CampaignRecord) -> Path:
         except (OSError, UnicodeDecodeError):
             continue
     raise CampaignError(
-        f"{folder / RECORD} tells no file of its campaign {record.name}, and none above {folder} "
-        "has its text; name the campaign file instead of the folder (with --runs where run folders "
+        f"{folder / RECORD}: no file in or above {folder} has the text of its campaign "
+        f"{record.name}; name the campaign file instead of the folder (with --runs if run folders "
         "are not in ./runs)"
     )
 

@@ -1,6 +1,6 @@
-"""Whether a test can be true: copied modes, dead or wild sensors, damping in percent.
+"""Plausibility of a test without the model: copied modes, faulty sensors, damping in percent.
 
-Nothing here knows the model. Limits are meant so that a sound test passes without a word.
+The limits are wide enough that a sound test gives no finding.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ HIGHEST_DAMPING = 0.2
 
 
 def data_findings(test: MeasuredModes) -> Iterator[Finding]:
-    """All that is strange in the measured modes."""
+    """Report everything implausible in the measured modes."""
     yield from _frequencies(test)
     yield from _damping(test)
     if not test.has_shapes:
@@ -70,14 +70,14 @@ def _frequencies(test: MeasuredModes) -> Iterator[Finding]:
     if (steps < 0.0).any():
         late = [test.numbers[place + 1] for place in np.flatnonzero(steps < 0.0).tolist()]
         yield TEST.doubtful(
-            "the frequencies do not ascend",
+            "the frequencies are not in ascending order",
             f"test mode {listed(late)}",
-            "look whether columns were mixed up",
+            "check whether columns were mixed up",
         )
     for first, second in combinations(range(len(test.numbers)), 2):
         if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
             yield TEST.doubtful(
-                f"two modes have one frequency, {frequencies[first]:.6g} Hz",
+                f"two modes have the same frequency, {frequencies[first]:.6g} Hz",
                 f"test modes {test.numbers[first]} and {test.numbers[second]}",
                 "leave one out with `test.use` if it was identified twice",
             )
@@ -109,7 +109,7 @@ def _alike(
     n_dof, n_modes = shapes.shape
     if n_dof < n_modes:
         yield TEST.doubtful(
-            f"{n_dof} sensors cannot tell {n_modes} modes apart",
+            f"{n_dof} sensors cannot distinguish {n_modes} modes",
             "",
             "use fewer modes (`test.use`), or more sensors",
         )
@@ -123,13 +123,13 @@ def _alike(
         where = f"test modes {names[0]} and {names[1]}"
         if n_dof > 2 and 1.0 - value < COPIED_MAC:
             yield TEST.wrong(
-                "two modes have one shape",
+                "two modes have the same shape",
                 where,
                 "one is a copy: export the test again, or leave it out with `test.use`",
             )
         elif value > ALIKE:
             yield TEST.doubtful(
-                f"the sensors hardly tell two modes apart (auto-MAC {value:.3f})",
+                f"the sensors can hardly distinguish two modes (auto-MAC {value:.3f})",
                 where,
                 "pairs of these modes may be swapped; add sensors, or use one of them",
             )
@@ -143,7 +143,7 @@ def _sensors(test: MeasuredModes) -> Iterator[Finding]:
         yield TEST.doubtful(
             f"no mode moves {still.size} sensor{'' if still.size == 1 else 's'}",
             listed(sensor_name(test.modes, row) for row in still.tolist()),
-            "a dead channel, or a direction that the structure does not take; leave the "
+            "a dead channel, or a direction in which the structure does not move; leave the "
             "row out if it was not measured",
         )
     yield from _copied_rows(test, still.tolist())
@@ -151,7 +151,7 @@ def _sensors(test: MeasuredModes) -> Iterator[Finding]:
 
 
 def _copied_rows(test: MeasuredModes, still: list[int]) -> Iterator[Finding]:
-    """Rows of like numbers, which three modes or more cannot have by chance."""
+    """Report identical rows, which cannot occur by chance with three modes or more."""
     shapes = test.modes.mode_shapes
     if shapes.shape[1] < 3:
         return
@@ -167,14 +167,14 @@ def _copied_rows(test: MeasuredModes, still: list[int]) -> Iterator[Finding]:
     if not copies:
         return
     yield TEST.doubtful(
-        "sensors have like numbers in all modes",
+        "sensors have identical values in all modes",
         listed(copies),
-        "a channel may stand twice; leave one row out if so",
+        "if one channel was exported twice, leave one row out",
     )
 
 
 def _outliers(test: MeasuredModes, units: Floats) -> Iterator[Finding]:
-    """Sensors that exceed all others by far, with the modes in which they do."""
+    """Report sensors that move far more than all others, and the modes in which they do."""
     if units.shape[0] < FEW_SENSORS:
         return
     order = np.argsort(units, axis=0)

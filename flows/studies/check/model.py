@@ -53,8 +53,8 @@ class ModelFacts:
     """Facts about the model from the run.
 
     size_m: diagonal of the box round all nodes, NaN without geometry. mass, mass_kg: by the
-    solver, else by the rigid-body modes, else about, by sections and densities without point
-    masses, and NaN where nothing tells; mass_by: which of these. body: from rigid-body modes, the
+    solver, else by the rigid-body modes, else estimated from sections and densities without
+    point masses, else NaN; mass_by: the source of these. body: from rigid-body modes, the
     deck's units, None where body_missing says why. n_rigid: as updating counts them; rigid_hz: the
     largest of their frequencies; elastic_hz: (n_elastic,).
     """
@@ -143,16 +143,16 @@ def _size(units: Units, size: float) -> Finding:
 
 
 def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
-    """Whether mass, centre and inertia are plausible."""
+    """Report whether mass, centre of gravity and inertia are plausible."""
     if not facts.mass_by:
         yield MODEL.good(
-            f"the mass is not known: {campaign.solver_name} does not tell it, and "
+            f"the mass is unknown: {campaign.solver_name} does not print it, and "
             f"{facts.body_missing}"
         )
         return
     mass_kg, said = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
     if facts.mass_by == "materials":
-        said = f"the mass is about {mass_kg:.2g} kg, by sections and densities; point masses add"
+        said = f"the mass is about {mass_kg:.2g} kg from sections and densities, plus point masses"
     found = MODEL.good(said)
     heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
     if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
@@ -169,7 +169,7 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
 def _body_findings(facts: ModelFacts, units: Units) -> Iterator[Finding]:
     body = facts.body
     if body is None:
-        unknown = f"centre of gravity and inertia are not known: {facts.body_missing}"
+        unknown = f"centre of gravity and inertia are unknown: {facts.body_missing}"
         yield MODEL.good(unknown)
         return
     # Values below rounding error, as along the normal of a plane of symmetry, are shown as zero.
@@ -191,10 +191,10 @@ def _body_findings(facts: ModelFacts, units: Units) -> Iterator[Finding]:
     apart = abs(body.mass / facts.mass - 1.0)
     if apart > MASS_TOLERANCE:
         yield MODEL.doubtful(
-            f"the rigid-body modes move a mass of {body.mass:.6g} {mass}, the solver "
-            f"tells {facts.mass:.6g} {mass}",
+            f"the rigid-body modes give a mass of {body.mass:.6g} {mass}, the solver "
+            f"{facts.mass:.6g} {mass}",
             "",
-            "some mass is not joined to the structure, or not counted by the solver",
+            "some mass is not connected to the structure, or the solver does not count it",
         )
 
 
@@ -210,7 +210,7 @@ def rigid_findings(
         yield MODEL.wrong(
             f"all {result.modes.n_modes} computed modes are rigid",
             "",
-            "a mechanism of many motions, or wrong units",
+            "check for a mechanism with many motions, and for wrong units",
         )
         return
     if (elastic <= 0.0).any():
@@ -258,15 +258,15 @@ def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
     return MODEL.doubtful(
         said,
         "",
-        "they have no strain energy, so this is rounding of the solver, and elastic modes that "
-        "low would drown in it: look for tiny or very stiff elements",
+        "they have no strain energy, so these frequencies are rounding errors, which would hide "
+        "elastic modes as low as these: look for tiny or very stiff elements",
     )
 
 
 def _body(campaign: Campaign, result: ModalResult) -> tuple[RigidBody | None, str]:
     """Mass properties from the rigid-body modes, or why there are none."""
     if result.n_rigid != RIGID_MODES:
-        return None, "that takes six rigid-body modes, which a free model alone has"
+        return None, "they need six rigid-body modes, which only a free model has"
     modes = in_global_axes(result.modes, campaign)
     if modes is None:
         return None, "the model has no geometry"
@@ -279,9 +279,9 @@ def _body(campaign: Campaign, result: ModalResult) -> tuple[RigidBody | None, st
 
 
 def in_global_axes(modes: ModeSet, campaign: Campaign) -> tuple[ModeSet, Floats] | None:
-    """Modes at the nodes whose results stand in global axes, and the place of each row (n_dof, 3).
+    """Return the modes at nodes with global axes, and the coordinates of each row (n_dof, 3).
 
-    None where the mesh does not know the nodes.
+    None if the mesh has none of the nodes.
     """
     mesh = _mesh(campaign)
     rows = np.isin(modes.nodes, mesh.nodes)
@@ -304,10 +304,10 @@ LIMIT = "run.memory_gb"
 
 
 def memory_findings(state: CaseState) -> list[Finding]:
-    """What factors of a case's model will take, where its matrices are there and are factorised.
+    """Report the memory for the factors of a case's matrices.
 
-    The unknowns are ordered for it once; factors that are in memory are given up first, for they
-    would count twice. Raises ModelError, StoreError.
+    This orders the unknowns once; it first releases factors in memory, which would count
+    twice. Raises ModelError, StoreError.
     """
     by_matrices = isinstance(state.finder, ByMatrices)
     if not by_matrices and not state.case.needs("matrices"):
@@ -329,4 +329,4 @@ def memory_findings(state: CaseState) -> list[Finding]:
         return [MODEL.wrong(str(error), LIMIT)]
     if not on_disk:
         return [MODEL.good(said, LIMIT)]
-    return [MODEL.doubtful(said, LIMIT, "raise it where there is more memory")]
+    return [MODEL.doubtful(said, LIMIT, "raise it if the machine has more memory")]

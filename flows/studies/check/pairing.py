@@ -1,8 +1,8 @@
 """The pairing of test and model before updating: pairs, their quality and their margin.
 
-Modes that the test finds close together turn within their common space, and so does the model: a
-measured shape is judged in the space of the computed modes that answer it and its neighbours, and
-these neighbours make no pair ambiguous.
+Close modes of test and model can rotate within their common space. So a measured shape is compared
+with the space of the computed modes paired with it and its neighbours, and these neighbours make no
+pair ambiguous.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ FACTORS = {
 
 @dataclass(frozen=True, slots=True)
 class ModePreview:
-    """A test mode and what answers it before updating.
+    """A test mode and its pair before updating.
 
     elastic_mode: number of the model's, from 1; error: of its frequency, relative to the test's;
     mac, subspace_mac: with that mode, and with the close ones together; second_mode, second_mac:
     the best of any mode that is not close, from 1, and its MAC; None and NaN where there is none;
-    answering: elastic modes whose space answers it, from 1: its pair and the close ones.
+    answering: elastic modes of the space paired with it, from 1: its pair and the close ones.
     """
 
     mode: Annotated[int, Column("test mode")]
@@ -175,7 +175,7 @@ def _by_shape(
 def pairing_findings(
     modes: tuple[ModePreview, ...], highest_hz: float, rules: PairRules | None = None
 ) -> Iterator[Finding]:
-    """What is doubtful in the pairs. highest_hz: of the computed elastic modes."""
+    """Report doubtful pairs. highest_hz: of the computed elastic modes."""
     rules = rules or PairRules()
     factor = list(_factor(modes))
     yield from factor
@@ -186,25 +186,25 @@ def pairing_findings(
             continue
         if np.isfinite(mode.mac) and mode.judged_mac < WEAK_MAC:
             yield PAIRING.doubtful(
-                f"its best pair, elastic mode {mode.elastic_mode}, has MAC {mode.judged_mac:.2f}",
+                f"best MAC is {mode.judged_mac:.2f} (elastic mode {mode.elastic_mode})",
                 where,
-                "look at sensor directions, and at `modetune correlate`",
+                "check the sensor directions, and see `modetune correlate`",
             )
         if mode.second_mac >= max(mode.judged_mac - AMBIGUOUS, LOST_MAC):
             yield PAIRING.doubtful(
                 f"ambiguous: elastic mode {mode.elastic_mode} has MAC {mode.mac:.2f}, mode "
                 f"{mode.second_mode} has {mode.second_mac:.2f}",
                 where,
-                "add sensors that tell the two apart, or leave the mode out",
+                "add sensors that distinguish the two, or leave the mode out",
             )
         far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
-        told = np.isfinite(mode.mac) or mode.mode in rules.by_hand
-        if ((far and told) or abs(mode.error) > LARGE_ERROR) and not factor:
+        certain = np.isfinite(mode.mac) or mode.mode in rules.by_hand
+        if ((far and certain) or abs(mode.error) > LARGE_ERROR) and not factor:
             what = f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
             what += f"{100 * mode.error:+.0f} %"
             if far:
                 what += f", {reach_text(mode.computed_hz, rules.reach)}"
-            remedy = "no parameter may reach so far: look at the model"
+            remedy = "the parameters may be unable to correct this much: check the model"
             yield PAIRING.doubtful(what, where, remedy)
 
 
@@ -212,7 +212,7 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
     """A mode near the end of the computed range may be beyond it, where updating looks itself."""
     if rules.drop:
         return PAIRING.doubtful(
-            f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}",
+            f"no computed mode matches it: the best remaining MAC is {mode.judged_mac:.2f}",
             where,
             "updating leaves it out (`test.unmatched: drop`)",
         )
@@ -220,18 +220,18 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
     return Finding(
         "doubtful" if beyond else "wrong",
         "pairing",
-        f"no computed mode answers it: the best left has MAC {mode.judged_mac:.2f}, at least "
+        f"no computed mode matches it: the best remaining MAC is {mode.judged_mac:.2f}, at least "
         f"{LOST_MAC:.1f} is needed",
         where,
-        "it may lie above the computed range, which updating widens once"
+        "it may be above the computed range, which updating extends once"
         if beyond
-        else "look at sensor nodes, directions and signs (`modetune correlate` names the worst), "
+        else "check sensor nodes, directions and signs (`modetune correlate` lists the worst), "
         "or leave it out: `test.unmatched: drop`",
     )
 
 
 def _factor(modes: tuple[ModePreview, ...]) -> Iterator[Finding]:
-    """Whether all frequencies are off by the factor of a mistaken unit."""
+    """Report whether all frequencies are off by the factor of a wrong unit."""
     ratios = np.array([mode.test_hz / mode.computed_hz for mode in modes])
     if ratios.size < 2:
         return
@@ -244,7 +244,7 @@ def _factor(modes: tuple[ModePreview, ...]) -> Iterator[Finding]:
                 f"all measured frequencies are about {middle:.3g} times the computed "
                 f"ones, as with {reason}",
                 "",
-                "look at the test's and the deck's units",
+                "check the units of the test and the deck",
             )
             return
 
@@ -255,25 +255,25 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> I
     all_there: the model has no further modes.
     """
     highest, last = float(test.modes.frequencies_hz.max()), float(elastic.frequencies_hz.max())
-    said = f"{elastic.n_modes} elastic modes to {last:.4g} Hz, the test's reach {highest:.4g} Hz"
+    said = f"{elastic.n_modes} elastic modes up to {last:.4g} Hz; the test's up to {highest:.4g} Hz"
     if all_there or last >= (1.0 + MARGIN) * highest:
         yield MODES.good(said)
         return
     yield MODES.doubtful(
-        f"{said}: less than {100 * MARGIN:.0f} % to spare",
+        f"{said}: the margin is less than {100 * MARGIN:.0f} %",
         "",
-        "updating widens the range when a mode is not found; a model much too soft, or "
-        "test modes that were left out, show so",
+        "updating extends the range if it does not find a mode; a model that is much too soft, or "
+        "test modes that were left out, can be the cause",
     )
 
 
 def unmeasured(
     test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...], left_out: bool
 ) -> Iterator[Finding]:
-    """Computed modes within the test's band that answer no test mode.
+    """Report computed modes in the test's band that are paired with no test mode.
 
-    A fault of the test unless the campaign left modes of it out (left_out), or its sensors hardly
-    see such a mode or cannot tell it from another one; then it is told and no more.
+    Such a mode is doubtful unless the campaign leaves out test modes (left_out), or the sensors
+    hardly see it or cannot distinguish it from another.
     """
     if not test.has_shapes:
         return
@@ -284,16 +284,16 @@ def unmeasured(
         for place, frequency in enumerate(elastic.frequencies_hz.tolist())
         if place + 1 not in paired and low <= frequency <= high
     ]
-    told_apart = [] if left_out else _separable(test, elastic, free, len(modes), paired)
-    if told_apart:
+    distinct = [] if left_out else _separable(test, elastic, free, len(modes), paired)
+    if distinct:
         yield MODES.doubtful(
-            f"the test has no mode for the model's {_at(elastic, told_apart)} within its band",
+            f"the test has no mode for the model's {_at(elastic, distinct)} within its band",
             "",
-            "not excited, or not identified?",
+            "check whether it was excited and identified",
         )
-    rest = [place for place in free if place not in told_apart]
-    if rest:
-        said = f"elastic mode {_at(elastic, rest)} answers no mode of the test"
+    others = [place for place in free if place not in distinct]
+    if others:
+        said = f"elastic mode {_at(elastic, others)} is paired with no test mode"
         yield MODES.good(said)
 
 
@@ -305,7 +305,7 @@ def _at(elastic: ModeSet, places: list[int]) -> str:
 def _separable(
     test: MeasuredModes, elastic: ModeSet, free: list[int], n_paired: int, paired: set[int]
 ) -> list[int]:
-    """Which of these computed modes the sensors see, and as no other computed one of the band."""
+    """Return those of the modes that the sensors see and distinguish from others in the band."""
     _, rows = common_dofs(test.modes, elastic)
     shapes = elastic.mode_shapes[rows]
     if rows.size < n_paired + len(free):  # fewer sensors than modes

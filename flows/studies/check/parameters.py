@@ -1,4 +1,4 @@
-"""Whether parameters can be found: sensible bounds, alive in the modes that are used."""
+"""Plausibility of parameters: sensible bounds, and an effect on the used modes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class EnergyShare:
 
 
 def bound_findings(campaign: Campaign) -> Iterator[Finding]:
-    """What is strange about bounds, starts, and the number of parameters."""
+    """Report implausible bounds, start values and numbers of parameters."""
     yield from (PARAMETERS.good(said) for said in campaign.splits)
     for parameter in campaign.parameters.parameters:
         yield from _bounds(campaign, parameter)
@@ -73,18 +73,18 @@ def _bounds(campaign: Campaign, item: Parameter) -> Iterator[Finding]:
     if item.quantity in DAMPING and not campaign.case.needs("losses"):
         said = item.quantity.replace("_", " ")
         said += " does not change frequencies and shapes of undamped modes"
-        remedy = "leave it out; no response of this campaign tells it"
+        remedy = "leave it out; no response of this campaign depends on it"
         yield PARAMETERS.doubtful(said, where, remedy)
     relative = item.values == "relative"
     if relative and not item.lower <= 1.0 <= item.upper:
-        said = f"{bounds} leave the deck's own value out"
+        said = f"{bounds} exclude the deck's own value"
         yield PARAMETERS.doubtful(said, where, "bounds are relative to the deck's value, 1")
     if relative and (item.lower < 1.0 / WIDEST or item.upper > WIDEST):
         remedy = "give what is physically possible, such as 0.5 to 2"
-        yield PARAMETERS.doubtful(f"{bounds} hold nothing back", where, remedy)
+        yield PARAMETERS.doubtful(f"{bounds} are too wide to limit anything", where, remedy)
     if item.upper - item.lower < NARROWEST:
         remedy = "widen them, or fix the parameter"
-        yield PARAMETERS.doubtful(f"{bounds} leave no room", where, remedy)
+        yield PARAMETERS.doubtful(f"{bounds} are too narrow", where, remedy)
     if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
         said = f"it starts on a bound ({item.shown(item.initial):g})"
         yield PARAMETERS.doubtful(said, where, "start inside the bounds")
@@ -148,20 +148,21 @@ def energy_shares(result: ModalResult, computed: Integers) -> tuple[EnergyShare,
 def energy_findings(
     campaign: Campaign, result: ModalResult, modes: list[int], shares: tuple[EnergyShare, ...]
 ) -> Iterator[Finding]:
-    """Parameters that hardly move a used mode, and those of which the run cannot tell.
+    """Report parameters that hardly affect a used mode, and those that the run cannot judge.
 
-    modes: numbers of the test modes that the shares are of."""
+    modes: numbers of the test modes that the shares belong to.
+    """
     for item in shares:
         yield from _dead(campaign, item, modes)
-    told = {item.parameter for item in shares}
-    silent = [name for name in campaign.parameters.names if name not in told]
+    judged = {item.parameter for item in shares}
+    silent = [name for name in campaign.parameters.names if name not in judged]
     if silent:
         yield PARAMETERS.good(
-            "strain energies do not tell whether it is alive; the first sensitivity will",
+            "strain energies cannot show its effect; the first sensitivity will",
             f"parameter {', '.join(silent)}",
         )
     if campaign.sensitivity.method == "auto":
-        reasons = [tell(campaign.case.solver) for tell in (not_linear, untested_capabilities)]
+        reasons = [reason(campaign.case.solver) for reason in (not_linear, untested_capabilities)]
         yield from (PARAMETERS.good(said) for said in reasons if said)
     yield from _balance(campaign, result, bool(shares))
 
@@ -177,9 +178,9 @@ def _dead(campaign: Campaign, item: EnergyShare, modes: list[int]) -> Iterator[F
     # A share is theta / lambda times the eigenvalue's slope, and twice the frequency's.
     moved = 0.5 * item.shares / start / case.weighting.frequency_deviations[rows]
     slope = float(np.linalg.norm(moved[case.weighting.frequencies_used[rows]]))
-    told, moves = (own.standard_deviation * slope) ** 2, slope * (own.upper - own.lower)
+    known, moves = (own.standard_deviation * slope) ** 2, slope * (own.upper - own.lower)
     dead, kinds = item.largest < DEAD, {each.kind for each in case.responses}
-    if not dead and (told >= UNSEEN_SHARE * (1.0 + told) or kinds != {"frequencies"}):
+    if not dead and (known >= UNSEEN_SHARE * (1.0 + known) or kinds != {"frequencies"}):
         return
     said = (
         f"{'dead' if dead else 'hardly alive'}: at most {100 * item.largest:.2g} % of the "
@@ -188,14 +189,14 @@ def _dead(campaign: Campaign, item: EnergyShare, modes: list[int]) -> Iterator[F
     )
     where, others = f"parameter {own.name}", ", ".join(sorted(kinds - MODAL)).replace("_", " ")
     if others:
-        yield PARAMETERS.good(f"{said}, so {others} alone may tell it", where)
+        yield PARAMETERS.good(f"{said}, so only {others} may determine it", where)
         return
     said += ", so updating leaves it at its start value" * (moves < NOTHING)
     yield PARAMETERS.doubtful(said, where, "leave it out, or use modes that it moves")
 
 
-def _balance(campaign: Campaign, result: ModalResult, told: bool) -> Iterator[Finding]:
-    if campaign.sensitivity.method != "strain_energy" or not told:
+def _balance(campaign: Campaign, result: ModalResult, has_shares: bool) -> Iterator[Finding]:
+    if campaign.sensitivity.method != "strain_energy" or not has_shares:
         return
     balance = result.energy_balance
     if (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():

@@ -1,8 +1,8 @@
-"""The pre-check of a campaign: all that one modal run shows of a campaign.
+"""The pre-check of a campaign: everything that one modal run shows.
 
-`load_campaign` has refused what cannot work at all. Here test, sensors, model and parameters are
-judged, first without a solver, then by the modes that updating begins with, by whoever finds them
-for it: the store keeps them, so updating goes on from there, and after it nothing is run.
+`load_campaign` has refused what cannot work at all. The pre-check examines test, sensors, model and
+parameters, first without a solver, then with the modes of the start values. The store keeps these
+modes, so `update` reuses them, and a check after an update runs no solver.
 """
 
 from __future__ import annotations
@@ -58,17 +58,17 @@ from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.poses import by_shapes, from_store, may_choose, modal_job
 
 NO_RUN = RunCounts()
-WITHOUT_TEST = TEST.doubtful("there is none, so the model is judged alone", "test",
-    "name the test's files under `test`, or behind a deck")  # fmt: skip
+WITHOUT_TEST = TEST.doubtful("there is none, so only the model is checked", "test",
+    "name the test's files under `test`, or after the deck")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class PreCheckReport:
-    """What the pre-check found.
+    """The result of the pre-check.
 
-    facts: of the model, None where nothing was run; modes: each test mode with its pair; shares:
-    of strain energy by parameter; runs: what it cost; failure: of the solver run, None if it is
-    there or was not wanted.
+    facts: of the model, None without a run. modes: each test mode with its pair. shares: energy
+    shares of the parameters. runs: number of solver runs. failure: the error of the solver run, if
+    it failed.
     """
 
     findings: tuple[Finding, ...]
@@ -84,7 +84,7 @@ class PreCheckReport:
 
     @property
     def exit_code(self) -> int:
-        """0 where nothing is wrong, 2 where something is; the solver's own where it failed."""
+        """0 without errors, 2 with errors; the code of the solver error if the solver failed."""
         if self.failure is not None:
             return self.failure.exit_code
         return 2 if self.level == "wrong" else 0
@@ -118,8 +118,8 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
         report = judged(campaign, result, static, analysis.n_modes, NO_RUN, shares)
         memory = [item for state in evaluator.used for item in memory_findings(state)]
     except SolverError as error:
-        told = MODEL.wrong(f"the solver gave no modes: {error}")
-        return PreCheckReport((*static, told), failure=error)
+        no_modes = MODEL.wrong(f"the solver computed no modes: {error}")
+        return PreCheckReport((*static, no_modes), failure=error)
     engine.save_text()
     findings = (*report.findings, *memory)
     return replace(report, findings=findings, runs=runs.plus(evaluator.runs))
@@ -131,7 +131,7 @@ def _posed(campaign: Campaign, found: tuple[Case, str] | None) -> tuple[Campaign
 
 
 def _without_run(campaign: Campaign, said: str = "") -> tuple[Finding, ...]:
-    """What needs no solver; said: by measured shapes of the test's poses."""
+    """Return the findings that need no solver; said: the remark on the pose chosen by shapes."""
     tested = bool(campaign.test.numbers)
     return (
         *(data_findings(campaign.test) if tested else [WITHOUT_TEST]),
@@ -188,9 +188,11 @@ def _shares(
     result: ModalResult,
     computed: Integers,
 ) -> tuple[EnergyShare, ...]:
-    """Shares as the run tells them; of modes by matrices, which tell none, as the eigenvalues'
-    slopes do: theta / lambda times that of lambda, where stiffness or mass is proportional to
-    theta. The step that updating begins with takes the same slopes."""
+    """Return energy shares from the run, or, for modes from matrices, from eigenvalue derivatives.
+
+    A share is theta / lambda times the derivative of lambda, if stiffness or mass is proportional
+    to theta. The first step of updating uses the same derivatives.
+    """
     if result.groups or not evaluator.cheap:
         return energy_shares(result, computed)
     seen = result.at(evaluator.only.case.nodes)
@@ -206,6 +208,6 @@ def _shares(
 
 
 def _leaves_modes_out(campaign: Campaign) -> bool:
-    """Whether the test measured modes that the campaign neither uses nor judges by."""
+    """Return whether the test has modes that the campaign neither uses nor holds out."""
     there = campaign.case.measurement.modes
     return there is not None and not set(there.numbers) <= set(campaign.case.measured.numbers)

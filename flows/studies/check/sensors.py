@@ -1,4 +1,4 @@
-"""Whether the sensors look at the model where and how the test says; which seem turned."""
+"""Plausibility of sensors: their nodes and directions, and reversed or exchanged sensors."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ ONE_DIRECTION = 0.99
 
 
 def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
-    """Sensors that are doubtful, left out, or see the same; what reader and mapping say.
+    """Report doubtful, omitted and duplicate sensors, and the notes of reader and mapping.
 
-    said: by measured shapes of the test's poses, in place of a doubt about these.
+    said: the remark on the pose chosen by measured shapes; it replaces a doubt about the poses.
     """
     if not campaign.test.has_shapes:
         return
@@ -55,33 +55,33 @@ def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
 
 
 def _of_note(note: str) -> Finding:
-    """What reader or mapping said: a doubt where the sentence begins so."""
+    """Return a note of reader or mapping as a finding, doubtful if the note begins so."""
     if note.startswith(DOUBT):
-        return SENSORS.doubtful(note.removeprefix(DOUBT).strip(), "", "look at the test's files")
+        return SENSORS.doubtful(note.removeprefix(DOUBT).strip(), "", "check the test's files")
     return SENSORS.good(note)
 
 
 def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> Iterator[Finding]:
-    """One finding for all sensors of one reason."""
+    """Group sensors with the same reason into one finding."""
     names: dict[str, list[str]] = {}
     for row in rows:
         names.setdefault(row.reason, []).append(row.sensor)
-    told = [*names.items()][:REASONS]
+    shown = [*names.items()][:REASONS]
     if len(names) > REASONS:
         others = [sensor for sensors in [*names.values()][REASONS:] for sensor in sensors]
-        told.append(("for reasons like these", others))
+        shown.append(("for reasons like these", others))
     yield from (
         SENSORS.doubtful(
             f"{before}{reason}",
             f"sensor {listed(sensors)}",
-            "look at the test's geometry and `test.sensors`, or name the node by hand",
+            "check the test's geometry and `test.sensors`, or name the node by hand",
         )
-        for reason, sensors in told
+        for reason, sensors in shown
     )
 
 
 def _alike(campaign: Campaign) -> Iterator[Finding]:
-    """Sensors that look along one direction at one node."""
+    """Report sensors that measure the same direction at the same node."""
     seen = campaign.case.sensors
     order = np.lexsort((seen.turns, seen.model_nodes))
     pairs_found: list[Integers] = []
@@ -101,13 +101,13 @@ def _alike(campaign: Campaign) -> Iterator[Finding]:
     modes = campaign.test.modes
     pairs = [f"{sensor_name(modes, a)} and {sensor_name(modes, b)}" for a, b in found.tolist()]
     yield SENSORS.doubtful(
-        "they look along one direction at one node",
+        "they measure the same direction at the same node",
         f"sensors {listed(pairs)}",
-        "refine the mesh there, or look at the sensors' places",
+        "refine the mesh there, or check the positions of the sensors",
     )
 
 
-#: A pair of a lower MAC may be wrong and is no evidence about sensors.
+#: Pairs with a lower MAC may be wrong and are no evidence about sensors.
 BELIEVED_MAC = 0.2
 
 
@@ -137,7 +137,7 @@ def suspected_sensors(
                 f"all axes {' or '.join(axes.told)}: mean MAC {axes.mac:.2f} instead of "
                 f"{axes.before:.2f}",
                 "",
-                "x, y and z of the test are not those of the model: see cables, the test's "
+                "x, y and z of the test differ from those of the model: check cables, the test's "
                 "geometry and `test.sensors`",
             )
         ]
@@ -162,8 +162,8 @@ def _finding(
     most = int(np.argmax(error.after - error.before))
     gain = (
         f"the MAC of mode {believed[most].mode} would be {error.after[most]:.2f} instead of "
-        f"{error.before[most]:.2f}; it stands out by {error.score:.0f} times the scatter of the "
-        "others"
+        f"{error.before[most]:.2f}; its misfit is {error.score:.0f} times the scatter of "
+        "the others"
     )
     names = [sensor_name(modes, row) for row in rows]
     if len(names) == 1:

@@ -222,7 +222,7 @@ def _end(report: PreCheckReport) -> str:
     runs = report.runs
     made = runs.modal + runs.sensitivity
     ran = "1 solver run" if made == 1 else f"{made} solver runs"
-    without = "no solver run" + (", answered by the store" if report.facts is not None else "")
+    without = "no solver run" + (", results cached" if report.facts is not None else "")
     cost = ran if made else without
     return f"{report.level}: {counts['wrong']} wrong, {counts['doubtful']} doubtful; {cost}"
 
@@ -249,7 +249,7 @@ def _compared(
         else check_record(campaign, record, baseline, state, band)
     )
     outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
-    table = table_of("Modes beside the baseline's", found.modes, ModeCheck, outside=outside)
+    table = table_of("Modes compared with the baseline", found.modes, ModeCheck, outside=outside)
     said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
     excluded = found.verdict.excluded_by(fail_on)
     verdict = f"verdict of {baseline if record is None else record}: {found.verdict}"

@@ -181,8 +181,8 @@ def _common(first: Side, second: Side) -> tuple[CommonMotion, tuple[str, ...]]:
         turned = (np.abs(seen - along) > SAME).any()
         if side.geometry is None and other.geometry is not None and turned:
             notes.append(
-                f"{side.label} tells no directions: its components are taken along the axes of "
-                f"{other.label}"
+                f"{side.label} has no sensor directions; its components are taken along the "
+                f"axes of {other.label}"
             )
     found = common_motion(first.modes, second.modes, here, there)
     by_name = common_dofs(first.modes, second.modes)

@@ -25,7 +25,7 @@ BARS = 40
 def correlation_charts(found: Correlation) -> dict[str, Chart]:
     """Every chart that the comparison allows, by name."""
     first, second = found.first, found.second
-    title, charts = f"{second.label} beside {first.label}", {}
+    title, charts = f"{second.label} and {first.label}", {}
     if found.mac.size:
         charts["mac"] = heat_chart(f"MAC: {title}", found.mac, first, second)
         for name, side, table in (

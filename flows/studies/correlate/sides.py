@@ -1,7 +1,7 @@
 """What `modetune correlate` compares: campaign files, records and test files as two sides.
 
-A model is seen by the test's sensors: with a test file at its side the campaign is read with that
-test in place of its own, so that sensors are laid over the model as the campaign says.
+A model is compared at the test's sensors: next to a test file, its campaign is read with that test
+instead of its own, so that the campaign's settings map the sensors onto the model.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def correlate_sources(
     """Compare two sources, or a campaign or record with its own test.
 
     state: which model of a record. method: how the mass matrix is reduced to the common degrees
-    of freedom for orthogonality, None for none. A test comes first
-    beside a model.
+    of freedom for orthogonality, None for none. A test comes
+    before a model.
     Raises CampaignError, SolverError, StoreError.
     """
     model: Model | None = None

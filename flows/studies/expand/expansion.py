@@ -242,7 +242,7 @@ def _serep(test: _Test) -> ExpandedShapes:
         with suppress(ModesError):  # modes that some of the sensors cannot distinguish
             tried[count] = test.held_out(partial(_combined, test, seen[:, :count]))
     if not tried:
-        raise ModesError("the modes of the model cannot be told apart by the sensors")
+        raise ModesError("the sensors cannot distinguish the modes of the model")
     count = min(tried, key=lambda number: float(np.nan_to_num(np.linalg.norm(tried[number]))))
     # The basis at the sensors is above the shapes themselves.
     whole, n_seen = np.vstack([seen, elastic.mode_shapes.real])[:, :count], seen.shape[0]

@@ -1,7 +1,6 @@
-"""Charts of an identification: what was stable, how well it fits, and how different the modes are.
+"""Charts of an identification: stable poles, quality of the fit, and auto-MAC of the modes.
 
-The stabilisation diagram is also written as a page that tells each pole's values under the mouse,
-to pick from.
+The stabilisation diagram is also a page on which the mouse shows the values of each pole.
 """
 
 from __future__ import annotations

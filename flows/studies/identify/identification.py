@@ -266,7 +266,7 @@ def _shapes(
 
 
 def _doubts(found: Identification) -> list[str]:
-    """What a user should look at, a sentence each."""
+    """Return the warnings about the result."""
     said = []
     frequencies = found.modes.modes.frequencies_hz
     for place in np.flatnonzero(found.phase_collinearity < DOUBTFUL):
@@ -277,7 +277,7 @@ def _doubts(found: Identification) -> list[str]:
     for i, j in zip(*np.nonzero(np.triu(found.auto_mac, 1) > 0.9), strict=True):
         said.append(
             f"modes {i + 1} and {j + 1} have a MAC of {found.auto_mac[i, j]:.2f}: the "
-            "sensors hardly tell them apart"
+            "sensors can hardly distinguish them"
         )
     size = np.sqrt(np.mean(np.abs(found.frfs.values) ** 2, axis=0))
     lines = found.frfs.frequencies_hz
@@ -285,13 +285,13 @@ def _doubts(found: Identification) -> list[str]:
     if peaks:
         named = ", ".join(f"{peak:.4g}" for peak in peaks[:5])
         said.append(
-            f"the responses have a peak at {named} Hz that the modes do not make up: raise "
+            f"the responses have a peak at {named} Hz that the modes do not explain: raise "
             "--order, or identify it in a narrower --band"
         )
     worst = [place for place in found.worst_functions[:5].tolist() if found.frac[place] < 0.9]
     if worst:
         names = ", ".join(f"{found.function_name(k)} ({found.frac[k]:.2f})" for k in worst)
-        said.append(f"functions that the modes do not make up well (FRAC): {names}")
+        said.append(f"functions that the modes fit poorly (FRAC): {names}")
     coherences = found.frfs.coherences
     told = np.flatnonzero(np.isfinite(coherences).all(axis=0)) if coherences.size else np.zeros(0)
     if told.size:
@@ -299,7 +299,7 @@ def _doubts(found: Identification) -> list[str]:
         low = int(told[mean.argmin()])
         said.append(
             f"mean coherence in the band is {mean.mean():.2f}, least {mean.min():.2f} at "
-            f"{found.function_name(low)}; the fit does not weigh by it"
+            f"{found.function_name(low)}; the fit does not use it as a weight"
         )
     return said
 

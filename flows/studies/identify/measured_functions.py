@@ -116,9 +116,7 @@ def functions_in_band(
 
 def _check_directions(frfs: MeasuredFrfs) -> None:
     if ((frfs.components < 1) | (frfs.components > 6)).any():
-        raise CampaignError(
-            "a response function does not tell in which direction its sensor measures (1 to 6)"
-        )
+        raise CampaignError("a response function lacks the direction of its sensor (1 to 6)")
     if ((frfs.reference_components < 1) | (frfs.reference_components > 6)).any():
         raise CampaignError(
             "a response function names no reference: where, and in which direction, the force acts"

@@ -163,7 +163,7 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
     notes = [
         f"output only: {seconds:.4g} s of {values.shape[1]} channels at {1.0 / step:.4g} Hz, "
         f"subspace identification of covariances, orders up to {order}, {rows} block rows",
-        "shapes have no scale: nobody measured the forces",
+        "shapes have no scale, because the forces were not measured",
     ]
     if slowest < 3.0:
         notes.append(

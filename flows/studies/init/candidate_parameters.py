@@ -1,8 +1,8 @@
-"""What of a deck may be uncertain, by how much, and why: candidates for updating parameters.
+"""Candidate parameters: the uncertain quantities of a deck, their uncertainty and the reason.
 
-A quantity is free in what is written where few structures are known to better than a test tells it
-(stiffness of materials and joints); what is weighed or measured more easily than updated stands
-behind a `#` for a person to decide.
+The draft makes a quantity free if a test usually determines it better than prior knowledge
+(stiffness of materials and joints). Quantities that are easier to weigh or measure become comments,
+which the user can activate.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from modetune.adapters.solver import Solver, Target
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Parameter, Quantity, TargetKind
 
-#: Materials that are free at most; the others, which weigh less, are comments.
+#: Maximum number of free materials; the others, which have less mass, become comments.
 FREE = 20
-#: Dimensions of a cross-section that are looked for.
+#: Maximum number of dimensions of a cross-section.
 DIMENSIONS = 12
 
 
@@ -25,8 +25,8 @@ DIMENSIONS = 12
 class Expected:
     """How uncertain a quantity commonly is.
 
-    letter: its names begin with it; by: what names it; free: whether it is updated unless somebody
-    takes it out. bounds and deviation are relative to the deck's value.
+    letter: first letter of its names. by: kinds of target. free: whether the draft updates it.
+    bounds, deviation: relative to the deck's value.
     """
 
     quantity: Quantity
@@ -38,20 +38,20 @@ class Expected:
     why: str
 
 
-#: In the order in which they are written.
+#: In the order of the draft.
 EXPECTED = (
     Expected(
         "youngs_modulus", "E", ("material",), (0.7, 1.3), 0.1, True,
-        "a modulus itself is known to 2-5 % (laminates 10-15 %), but it also takes up what the "
-        "mesh, joints and fillets leave out",
+        "a modulus is known to 2-5 % (laminates 10-15 %), but it also compensates for mesh, "
+        "joints and fillets",
     ),
     Expected(
         "shear_modulus", "G", ("material",), (0.7, 1.3), 0.1, True,
-        "this material gives G and not E; otherwise as a Young's modulus",
+        "this material has G instead of E; otherwise like a Young's modulus",
     ),
     Expected(
         "spring_stiffness", "k", ("elset", "property", "element"), (0.1, 10.0), 0.5, True,
-        "stiffness of joints and mounts is mostly an estimate, often wrong by a factor",
+        "the stiffness of joints and mounts is usually an estimate, often wrong by a factor",
     ),
     Expected(
         "matrix_factor", "p", ("part",), (0.5, 2.0), 0.2, True,
@@ -60,7 +60,7 @@ EXPECTED = (
     Expected(
         "density", "rho", ("material",), (0.9, 1.1), 0.03, False,
         "weigh the structure instead where you can: E and density of one material change "
-        "frequencies in opposite ways and cannot both be told from them",
+        "frequencies in opposite directions, and frequencies cannot determine both",
     ),
     Expected(
         "thickness", "t", ("elset", "property"), (0.9, 1.1), 0.03, False,
@@ -69,32 +69,32 @@ EXPECTED = (
     ),
     Expected(
         "mass", "m", ("elset", "element"), (0.9, 1.1), 0.05, False,
-        "masses can mostly be weighed",
+        "masses can usually be weighed",
     ),
     Expected(
         "inertia_1", "I1", ("property",), (0.8, 1.25), 0.1, False,
-        "of a cross-section that stands for a built-up beam; of a plain bar it is as exact as "
-        "its drawing, and acts as the modulus does",
+        "uncertain if the section represents a built-up beam; for a plain bar the drawing is "
+        "exact, and I1 acts like the modulus",
     ),
     Expected("inertia_2", "I2", ("property",), (0.8, 1.25), 0.1, False, "as inertia_1"),
     Expected(
         "torsion_constant", "J", ("property",), (0.7, 1.4), 0.15, False,
-        "of open or built-up sections it is an estimate",
+        "an estimate for open or built-up sections",
     ),
     Expected(
         "area", "A", ("property", "element"), (0.9, 1.1), 0.05, False,
-        "it changes stiffness and mass at once",
+        "it changes both stiffness and mass",
     ),
     Expected(
         "dimension", "d", ("elset", "property"), (0.9, 1.1), 0.03, False,
-        "measured more easily than updated",
+        "easier to measure than to update",
     ),
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A number of the deck that could be a parameter; value: the deck's first one."""
+    """A number of the deck that could be a parameter. value: its first value in the deck."""
 
     parameter: Parameter
     expected: Expected
@@ -104,8 +104,7 @@ class Candidate:
     free: bool
 
     @property
-    def said(self) -> str:
-        """What it is in the deck."""
+    def description(self) -> str:
         count = self.target.n_elements
         of = f", {count} element{'' if count == 1 else 's'}"
         title = f' "{self.target.title}"' if self.target.title else ""
@@ -113,9 +112,9 @@ class Candidate:
 
 
 def candidates(solver: Solver) -> list[Candidate]:
-    """Candidates of a model, those of one quantity together; at least one is free if any is there.
+    """Return the candidates of a model, sorted by quantity; at least one of them is free.
 
-    What the deck itself refuses (a blank field, a material that nothing uses) is left out.
+    Numbers that the deck refuses (a blank field, an unused material) are left out.
     """
     deck, names = solver.deck, set[str]()
     masses = deck.material_masses()
@@ -124,7 +123,7 @@ def candidates(solver: Solver) -> list[Candidate]:
         for target in deck.targets():
             if target.by in expected.by:
                 found += _of_target(solver, expected, target, names)
-    # G follows from E in the same material; free are those of most mass.
+    # E determines G of the same material. The materials with most mass are free.
     given = {item.target for item in found if item.expected.quantity == "youngs_modulus"}
     found = [
         item

@@ -1,6 +1,6 @@
-"""A campaign drafted for a deck: its model, test, sensors and parameters, as values and as text.
+"""A draft of a campaign for a deck: model, test, sensors and parameters, as values and as text.
 
-The text has a comment for each key, and candidates by quantity.
+The text has a comment for each key, and the candidate parameters by quantity.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from modetune.flows.studies.identify.identification import (
 )
 from modetune.flows.studies.init.candidate_parameters import Candidate, candidates
 
-#: Settings of `test.sensors` that are tried, and what each means.
+#: Settings of `test.sensors` to try, and the meaning of each.
 POSES: tuple[tuple[dict[str, str], str], ...] = (
     ({}, "the test's axes are taken as the model's; `modetune sensors` shows each sensor's node"),
     ({"align": "fit"}, "rotation and translation were found from the points alone: look at them "
@@ -83,12 +83,12 @@ class Draft:
     def next(self) -> tuple[str, ...]:
         """The next commands, each with its purpose."""
         name = os.path.relpath(self.path)
-        check = (f"modetune check {name}", "judges model, test and sensors before anything is run")
+        check = (f"modetune check {name}", "checks model, test and sensors before updating")
         if self.test is None:
             more = [(f"modetune modes {name}", "computes the model's modes")]
             more += [(f"modetune pretest {name}", "proposes places for sensors and exciters")]
         else:
-            more = [(f"modetune screen {name}", "tells which parameters this test can determine")]
+            more = [(f"modetune screen {name}", "shows which parameters this test can determine")]
             more += [(f"modetune update {name}", "updates the model")]
         width = max(len(command) for command, _ in (check, *more))
         return tuple(f"{command:{width}}  {what}" for command, what in (check, *more))
@@ -105,8 +105,8 @@ def draft_campaign(
     found = candidates(sketch.solver)
     if not found:
         raise CampaignError(
-            f"{deck} has nothing that could be updated: no material, property, spring or mass that "
-            f"its elements use has a number of its own for {sketch.name}"
+            f"{deck} has nothing to update: {sketch.name} finds no number of a material, property, "
+            "spring or mass that its elements use"
         )
     test = _test(sketch, tests, path.parent, force) if tests else None
     return Draft(path, sketch, test, tuple(found))
@@ -116,18 +116,17 @@ def keep(path: Path, force: bool) -> None:
     """Leave a file that is there, unless forced. Raises CampaignError."""
     if path.exists() and not force:
         raise CampaignError(
-            f"{path} is there already and stays as it is; name another with --out, or write over "
-            "it with --force"
+            f"{path} exists already; name another file with --out, or overwrite it with --force"
         )
 
 
 def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) -> TestDraft:
-    """The test, with modes identified where it has response functions alone."""
+    """Return the test, with modes identified if it has only response functions."""
     measurement, files, identified = read_measurement(tests), tuple(tests), None
     if measurement.modes is None:
         if measurement.frfs is None:
             raise CampaignError(
-                f"{', '.join(map(str, tests))}: neither modes nor response functions in it"
+                f"{', '.join(map(str, tests))}: found neither modes nor response functions"
             )
         identified = folder / f"{tests[0].stem}-modes.csv"
         keep(identified, force)
@@ -145,9 +144,9 @@ def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) 
             problems += [item for item in error.problems if item not in problems]
             continue
         if mapping.alignment is None:
-            about = "sensors are the model's nodes of the same numbers"
+            about = "each sensor is the node with the same number"
         return TestDraft(files, measurement, identified, sensors, about, mapping)
-    raise CampaignError([f"the test cannot be laid over {sketch.deck}:", *problems])
+    raise CampaignError([f"the test cannot be mapped onto {sketch.deck}:", *problems])
 
 
 #: Columns of the text.
@@ -155,13 +154,13 @@ WIDTH = 100
 
 
 def campaign_text(draft: Draft) -> str:
-    """The campaign file, which reads well and can be run as it is."""
+    """Return the text of the campaign file, which runs without changes."""
     parts = (_head(draft), _model(draft), _test_lines(draft), _parameters(draft), _rest(draft))
     return "\n".join(line for part in parts for line in part) + "\n"
 
 
 def _said(text: str, indent: str = "") -> list[str]:
-    """A comment, broken to the width."""
+    """Return a comment wrapped to the width."""
     return textwrap.wrap(
         " ".join(text.split()),
         WIDTH,
@@ -174,9 +173,8 @@ def _said(text: str, indent: str = "") -> list[str]:
 
 def _head(draft: Draft) -> Iterator[str]:
     yield from _said(
-        f"A campaign for {draft.sketch.deck.name}, drafted by `modetune init`. Everything behind a "
-        "# is for people. What each key means: `keys` in the documentation; `modetune check` tells "
-        "what does not fit."
+        f"A campaign for {draft.sketch.deck.name}, drafted by `modetune init`. Text after # is a "
+        "comment. The documentation explains each key (`keys`); `modetune check` reports errors."
     )
     yield f"name: {_word(campaign_name(draft.sketch.deck))}  # names the folder runs/NAME"
     yield ""
@@ -193,8 +191,8 @@ def _model(draft: Draft) -> Iterator[str]:
     others = ", ".join(unit for unit in get_args(Units) if unit != sketch.units)
     if sketch.units is None:
         yield from _said(
-            f"PLEASE CHECK: nothing tells the units ({sketch.by_units}); m-kg-s stands here until "
-            f"somebody knows better: {others}", "  "
+            f"PLEASE CHECK: the units are unknown ({sketch.by_units}); m-kg-s is a placeholder. "
+            f"Others: {others}", "  "
         )  # fmt: skip
     elif sketch.by_units:
         yield from _said(
@@ -256,8 +254,8 @@ def _sensors(draft: Draft, test: TestDraft) -> Iterator[str]:
         if not np.isfinite(geometry.metres):
             scale = mapping.alignment.scale * METRES[draft.sketch.units or "m-kg-s"]
             yield from _said(
-                "PLEASE CHECK: the test's files do not tell their unit of length; here one is "
-                f"{scale:.4g} m. `length: mm` (m, cm, in, ft) beside `modes` names it.", "  "
+                "PLEASE CHECK: the test's files do not state their unit of length; it is taken "
+                f"as {scale:.4g} m. Set it with `length: mm` (m, cm, in, ft) next to `modes`.", "  "
             )  # fmt: skip
     if settings:
         yield f"  sensors: {{{', '.join(f'{key}: {value}' for key, value in settings.items())}}}"
@@ -290,8 +288,8 @@ def _parameter(item: Candidate) -> Iterator[str]:
         keys += f", item: {own.item}"
     numbers = f"bounds: [{own.lower:g}, {own.upper:g}], deviation: {own.standard_deviation:g}"
     mark = "  - " if item.free else "  # - "
-    yield from _said(item.said, "  ") if item.free else ()
-    yield f"{mark}{{{keys}, {numbers}}}" + ("" if item.free else f"  # {item.said}")
+    yield from _said(item.description, "  ") if item.free else ()
+    yield f"{mark}{{{keys}, {numbers}}}" + ("" if item.free else f"  # {item.description}")
 
 
 def _rest(draft: Draft) -> Iterator[str]:

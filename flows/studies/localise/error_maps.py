@@ -1,8 +1,8 @@
 """Maps of the error on a campaign's model, from its stored matrices and the test's shapes.
 
-They take the model's matrices and their derivatives, which a semi-analytic sensitivity needs too
-and so often finds in the store. What no parameter scales stands as two groups
-of its own, one of stiffness and one of mass. The maps themselves are `core/updating/localisation`.
+They use the model's matrices and derivatives, which the store often has from semi-analytic
+sensitivities. The matrix parts that no parameter scales form two further groups, one of stiffness
+and one of mass. The maps themselves are `core/updating/localisation`.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def why_no_maps(campaign: Campaign) -> str:
         return f"maps need stiffness and mass matrices, which {solver.program.name} does not give"
     if not solver.deck.summary.matrix_shapes:
         return (
-            "maps need matrices that tell the motion of nodes, which those of "
-            f"{solver.deck.summary.name} do not (docs/models.md)"
+            "maps need matrices with the motion of nodes, and those of "
+            f"{solver.deck.summary.name} lack it (docs/models.md)"
         )
     return ""
 

@@ -75,8 +75,8 @@ def one_model(
         there = f"there is {', '.join(names)}" if names else "the campaign has none"
         said = "none is named" if configuration is None else repr(configuration)
         raise CampaignError(
-            f"{campaign.file}: --configuration: one of the campaign's configurations is looked at "
-            f"at a time; {said}, {there}"
+            f"{campaign.file}: --configuration: name one of the campaign's configurations; {said}, "
+            f"{there}"
         )
     case = campaign.cases[names.index(configuration)]
     columns = slice(None) if case.columns is None else list(case.columns)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: Rows that a terminal shows of each table.
 SHOWN = 12
 #: A best share of the force residual below this identifies no group.
-TELLING = 0.2
+DISTINCT = 0.2
 #: Nodes of each map in the JSON object, the worst.
 NODES = 200
 
@@ -189,7 +189,7 @@ def _lines(found: Localisation) -> list[str]:
             f"residual, by changes of {changes}"
         )
         best = float(errors.force_shares.max())
-        if best < TELLING:
+        if best < DISTINCT:
             lines.append(
                 f"no group alone explains more than {100 * best:.1f} % of the force "
                 "residual: it is measurement noise, or spread over the model"
@@ -200,6 +200,6 @@ def _lines(found: Localisation) -> list[str]:
     runs = found.runs
     lines.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "
-        f"matrices, {runs.reused} answered by the store"
+        f"matrices, {runs.reused} cached"
     )
     return lines

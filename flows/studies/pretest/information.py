@@ -2,8 +2,8 @@
 
 Shapes are measured up to a scale, so what counts is how a shape's direction turns with a
 parameter: d phi less its part along phi, in units of the shape's rms over the candidates, divided
-by the standard deviation that the campaign gives shapes and multiplied by the parameter's own. What
-the frequencies tell is there before any sensor.
+by the standard deviation that the campaign gives shapes and multiplied by the parameter's own. The
+information from the frequencies is present before any sensor.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ def information_of(
     """
     if not len(campaign.parameters):
         raise CampaignError(
-            f"{campaign.file}: sensors that tell the parameters need `parameters`; name them in "
-            "the campaign, or choose another --method"
+            f"{campaign.file}: this --method places sensors for `parameters`, and the campaign has "
+            "none; add them, or choose another --method"
         )
     point = Point(campaign.parameters.initial, "", modal, alone(modes))
     found = evaluator.derivatives(point, analysis)

@@ -48,8 +48,8 @@ def check_count(sensors: int, n_modes: int, n_directions: int) -> None:
     """Raise CampaignError where there are too few sensors to distinguish the modes."""
     if sensors * n_directions < n_modes:
         raise CampaignError(
-            f"--sensors {sensors}: fewer than the {n_modes} modes, which so few cannot tell apart "
-            "whatever their places; ask for at least as many sensors as modes"
+            f"--sensors {sensors}: too few to distinguish {n_modes} modes, wherever they are; "
+            "use at least as many sensors as modes"
         )
 
 
@@ -93,7 +93,7 @@ class Ground:
 def choose_sensors(
     model: Ground, settings: PretestSettings, count: int
 ) -> tuple[Integers, Spacing, list[str]]:
-    """The chosen candidates, the most useful first, and what is to be told."""
+    """Return the chosen candidates, the most useful first, the spacing, and notes."""
     distance = settings.distance
     if distance is not None:
         spacing = model.candidates.spacing(distance)
@@ -105,7 +105,7 @@ def choose_sensors(
             chosen = _by_method(model, settings.method, count, spacing)
         except CampaignError:
             continue  # too few places at the default distance
-        said = f"sensors are {spacing.distance:.3g} apart and no more, for want of places"
+        said = f"there is room only for a distance of {spacing.distance:.3g} between sensors"
         return chosen, spacing, [said] if halving else []
     spacing = model.candidates.spacing(0.0)
     return _by_method(model, settings.method, count, spacing), spacing, []
@@ -133,14 +133,14 @@ def needed_number(model: Ground, spacing: Spacing, count: int) -> int | None:
 def likeness(
     model: Ground, quality: Quality, numbers: tuple[int, ...], count: int, needed: int | None
 ) -> str:
-    """Which modes look alike to the sensors, and what would help."""
+    """Return the modes that the sensors can hardly distinguish, with a remedy."""
     first, second = (numbers[place] for place in quality.pair)
     said = (
-        f"modes {first} and {second} look alike to these {count} sensors: auto-MAC "
-        f"{quality.largest:.2f}, where {ALIKE} is the most that is sure to be told apart"
+        f"these {count} sensors can hardly distinguish modes {first} and {second}: auto-MAC "
+        f"{quality.largest:.2f}, above {ALIKE}"
     )
     if needed is not None:
-        return f"{said}; {needed} sensors of effective independence would do"
+        return f"{said}; {needed} sensors by effective independence are enough"
     whole = judge(model.rows, np.arange(model.candidates.n))
     return (
         f"{said}; more sensors of effective independence do not help ({whole.largest:.2f} with all "
@@ -183,7 +183,7 @@ def _why(
     if model.information is not None:
         lost, hit = model.information.lost(chosen)
         names = campaign.parameters.names
-        return lost, [f"tells {names[place]}" for place in hit.tolist()]
+        return lost, [f"determines {names[place]}" for place in hit.tolist()]
     shares = kinetic_energies(model.rows[chosen])
     reasons = [
         f"sees mode {numbers[place]} ({100 * shares[row, place]:.0f} %)"

@@ -100,8 +100,8 @@ class Pretest:
 def run_pretest(campaign: Campaign, settings: PretestSettings) -> Pretest:
     """Choose sensors and exciters for a model.
 
-    Raises CampaignError for what is unavailable, ModesError where modes cannot be told apart,
-    SolverError, StoreError.
+    Raises CampaignError for unavailable settings, ModesError for modes that the sensors cannot
+    distinguish, SolverError, StoreError.
     """
     check_settings(settings)
     campaign.solver_version()  # report a missing solver before anything else starts
@@ -228,8 +228,8 @@ def _masses(campaign: Campaign, evaluator: Evaluator, candidates: CandidateSenso
     if np.isnan(along).any():
         lost = candidates.nodes[np.isnan(along).any(axis=1)]
         raise CampaignError(
-            f"--mass: the stored mass matrix has no equation of its own for node {lost[0]} (shells "
-            "and beams are expanded in it, held nodes are not in it); leave --mass out"
+            f"--mass: the stored mass matrix has no equation for node {lost[0]} (it has "
+            "expanded shells and beams, and no constrained nodes); leave --mass out"
         )
     return np.asarray(np.maximum(along, 0.0))
 

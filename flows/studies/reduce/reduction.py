@@ -38,9 +38,9 @@ from modetune.flows.studies.reduce.request import ReductionMethod, ReductionRequ
 
 #: Modes that are compared by default, rigid ones included.
 COMPARED = 16
-#: Below this part of the highest eigenvalue that is compared both models count as at rest: a
-#: relative difference of two roundings would say nothing.
-REST = 1e-8
+#: Relative to the highest compared eigenvalue, smaller ones count as zero: the relative difference
+#: of two rounding errors has no meaning.
+RIGID = 1e-8
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -68,16 +68,17 @@ class ModelReduction:
 
     @property
     def sentence(self) -> str:
-        """What became of the model, for people."""
+        """Size and accuracy of the reduced model."""
         known = self.errors[np.isfinite(self.errors)]
         error = 100.0 * np.abs(known).max(initial=0.0)
-        told = f"of {known.size} elastic frequencies the largest error {error:.3g} %"
-        told = told if known.size else "all modes that were compared are rigid (--modes, masters)"
+        errors = f"largest error of {known.size} elastic frequencies {error:.3g} %"
+        if not known.size:
+            errors = "all compared modes are rigid (--modes, masters)"
         steps = self.reduction.iterations
         settled = "" if self.reduction.converged else f", not settled after {steps} iterations"
         return (
             f"{self.n_full} unknowns reduced to {self.reduction.stiffness.shape[0]} by "
-            f"{self.method}{settled}: {told}, condition number {self.reduction.condition:.1e}"
+            f"{self.method}{settled}: {errors}, condition number {self.reduction.condition:.1e}"
         )
 
 
@@ -103,8 +104,8 @@ def reduce_model(campaign: Campaign, values: Values, asked: ReductionRequest) ->
     lam, phi = reduced_modes(found)
     compared = min(compared, lam.size)
     full, reduced = eigenvalues[:compared], lam[:compared]
-    rest = REST * float(np.abs(full).max())
-    elastic = (full > rest) & (reduced > rest)
+    rigid = RIGID * float(np.abs(full).max())
+    elastic = (full > rigid) & (reduced > rigid)
     full_hz, reduced_hz = (np.sqrt(np.maximum(a, 0.0)) / (2.0 * np.pi) for a in (full, reduced))
     errors = np.full(compared, np.nan)
     errors[elastic] = reduced_hz[elastic] / full_hz[elastic] - 1.0
@@ -159,7 +160,7 @@ def _reduced(method: ReductionMethod, seen: MeasuredModel, count: int, shapes: F
 def _written(
     model: FullModel, found: Reduction, kept: Dofs, transformation: Floats
 ) -> WrittenMatrices:
-    """The reduced matrices with the motion of all equations of the solver beside them."""
+    """Return the reduced matrices with the motion of all equations of the solver."""
     n_scalar = found.stiffness.shape[0] - len(kept)
     above = max(model.campaign.case.solver.deck.summary.node_ids, default=0) + 1
     nodes, components = dof_arrays([*kept, *((above + k, 1) for k in range(n_scalar))])

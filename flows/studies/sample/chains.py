@@ -1,19 +1,19 @@
-"""Sampling of a density by emcee, and whether the samples can be believed.
+"""Sampling of a density by emcee, and convergence of the chains.
 
-Walkers move by differences of other walkers (ter Braak 2006), which scale with the density by
-themselves, some of them by whole differences, which jump between peaks; others stretch (Goodman
-and Weare 2010). They start around the peaks, as many at each as its share asks for.
+Most moves are differences of other walkers (ter Braak 2006), which adapt to the scale of the
+density; some are whole differences, which jump between peaks; others stretch (Goodman and Weare
+2010). The walkers start around the peaks, in proportion to their shares.
 
-Neighbouring samples of a walker resemble each other. Over the integrated autocorrelation time tau
-(Goodman and Weare 2010) they forget; of n samples n / tau count (the effective sample size). The
-chains are long enough where each walker made 50 tau steps, and where the variance between half
-chains is that within them: split R-hat (Gelman et al. 2013, 11.4) below 1.05. Where they are not,
-sampling goes on: up to ten times the steps asked for, a hundred times where they cost little.
+Successive samples of a walker are correlated over the integrated autocorrelation time tau (Goodman
+and Weare 2010), so n samples have an effective size of n / tau. The chains are long enough after 50
+tau steps of each walker, if split R-hat, which compares the variance between half chains with that
+within them (Gelman et al. 2013, 11.4), is below 1.05. Otherwise sampling continues: up to ten times
+the requested steps, or a hundred times if they are cheap.
 
-Where a density p costs much and another one g foresees it about, most moves are STRIDE steps of a
-chain for g, of which p judges the last one. As these steps are reversible for g, going from x to y
+If a density p is expensive and g approximates it, most moves are STRIDE steps of a chain for g, and
+p decides on the last one. As these steps are reversible for g, going from x to y
 is accepted with min(1, p(y) g(x) / (p(x) g(y))) (Liu 2001, 9.4.3; Christen and Fox 2005): samples
-are those of p whatever g is, and forget in a few steps where g is about right.
+are those of p for any g, and decorrelate in a few steps if g is accurate.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def check_walkers(walkers: int, n_parameters: int) -> None:
 def walk(
     posterior: Posterior, peaks: Peaks, walkers: int, steps: int, rng: np.random.Generator
 ) -> Floats:
-    """Rough samples (n, n_parameters): the second half of so many steps, judged by nobody."""
+    """Return rough samples (n, n_parameters), the second half of a chain, without a check."""
     sampler = _sampler(posterior, walkers, rng)
     sampler.run_mcmc(_start(posterior, peaks, walkers, rng), steps)
     return np.asarray(sampler.get_chain(discard=steps // 2, flat=True))

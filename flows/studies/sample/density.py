@@ -38,7 +38,7 @@ LEAST_SHARE = 1e-3
 #: How far inside a limit peaks are, and what rises there to a thousand standard deviations beyond:
 #: shares of what the limited value spans over the range.
 INSIDE, WALL = 1e-5, 1e-6
-#: Starts of the search for peaks: drawn from the range, of which so many of the best are taken.
+#: Search for peaks: number of points drawn from the range, and of starting points among them.
 DRAWN, STARTS = 400, 16
 
 
@@ -169,7 +169,7 @@ def find_peaks(
     unit = latin_hypercube(drawn, n_parameters, rng)
     starts = posterior.lower + unit * (posterior.upper - posterior.lower)
     order = np.argsort(-posterior.log_density(starts))
-    # The best draws crowd on one peak, so half of the starts are taken as they come.
+    # The best draws crowd around one peak, so half of the starts are the first draws.
     chosen = [*starts[order[: STARTS // 2]], *starts[: STARTS // 2]]
     chosen += [] if also is None else list(also)
     ends = sorted((posterior._climb(start) for start in chosen), key=lambda end: -end[1])

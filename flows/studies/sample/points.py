@@ -1,13 +1,12 @@
-"""Solving parameter sets: modes of a campaign's model there, and the residuals they leave.
+"""Points of a sampling: the modes of a campaign's model there, and the residuals.
 
-Where a reduced model holds between the bounds (`flows/updating/reduced_model`) it gives many sets,
-at some milliseconds each. Else sets are ordinary modal jobs, which go through the evaluator, its
-store, limits and retries, so that what was solved once is never solved again. Without measured
-shapes a set's modes are tracked from the nearest set that has been paired already, beginning at the
-campaign's start. Over long ways modes that approach each other may be mistaken for each other.
-Sets that fit the test are those that were not, so further ones are tracked from these, and those
-near the posterior that do not fit once more when it is known which do: a few sets there with two
-modes exchanged are holes in what is learned, that no spline goes through.
+A reduced model that holds between the bounds (`flows/updating/reduced_model`) evaluates a point in
+milliseconds. Otherwise points are ordinary modal jobs of the evaluator with its store, limits and
+retries. Without measured shapes, modes are tracked from the nearest paired point, beginning at the
+campaign's start. Over long distances, tracking can confuse modes that approach each other. Points
+that fit the test have correct pairs, so further points are tracked from them, and badly fitting
+points near the posterior are tracked again once these are known: a few points with exchanged modes
+would be discontinuities that no spline can follow.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ MOST_FAILED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class SolvedPoints:
-    """Sets that could be solved: their residuals and their jobs."""
+    """Points that were solved: residuals and job keys."""
 
     training: Training
     keys: tuple[str, ...]
@@ -104,11 +103,11 @@ class PointSolver:
     def solve(
         self, title: str, points: Floats, around: int = 0, grows: bool = True
     ) -> SolvedPoints:
-        """Residuals at points (n, n_parameters); sets that fail are left out with a warning.
+        """Return residuals at points (n, n_parameters) without those that fail, with a warning.
 
-        around: so many sets at least, those that fit best, are those that modes are tracked from,
-        all of them where it is 0; grows: whether these too. Raises CampaignError where more than
-        half fail; SolverError, ModesError where all do; StoreError.
+        around: minimum number of best-fitting points from which to track modes, 0 for all known
+        points. grows: add the new points to them. Raises CampaignError if more than half fail;
+        SolverError, ModesError if all do; StoreError.
         """
         failed: list[ModetuneError] = []
         keys: list[str] = []
@@ -131,8 +130,7 @@ class PointSolver:
     def fitting(
         self, least: int, more: Sequence[Evaluation] = ()
     ) -> tuple[list[Evaluation], float]:
-        """So many sets at least that fit best, of those that are known and more, and the largest
-        squared misfit that counts as such."""
+        """Return at least `least` best-fitting points, and their largest squared misfit."""
         sets = [*self.known, *more]
         fits = np.array([*self._misfits, *map(misfit, more)])
         reach = float(max(np.sort(fits)[:least].max(), fits.min() + NEARLY))
@@ -141,8 +139,7 @@ class PointSolver:
     def _evaluated(
         self, title: str, points: Floats, around: int, grows: bool
     ) -> Iterator[Evaluation | ModetuneError]:
-        """Evaluations at points in turn, or why there is none. Those that do not fit the test near
-        others that do are tracked once more, from these."""
+        """Yield evaluations or errors; badly fitting points are tracked again from good ones."""
         known = self.fitting(around)[0] if around else self.known
         found = self.evaluator.points(title, points, known, grows, in_full=False)
         if not around:
@@ -158,7 +155,7 @@ class PointSolver:
             yield item
 
     def _join(self, item: Evaluation) -> None:
-        """Keep a set for modes to be tracked from; of too many the one that fits worst goes."""
+        """Add a point from which modes are tracked, and drop the worst one above the limit."""
         self.known.append(item)
         self._misfits.append(misfit(item))
         if len(self.known) > MOST_KNOWN:
@@ -168,23 +165,22 @@ class PointSolver:
     def _tell(self, failed: Sequence[ModetuneError], asked: int) -> None:
         self.failures += map(str, failed)
         if failed:
-            said = "1 set is" if len(failed) == 1 else f"{len(failed)} sets are"
-            logger.warning("%s left out of %d, the first because: %s", said, asked, failed[0])
+            n_failed = len(failed)
+            logger.warning("%d of %d points failed; first error: %s", n_failed, asked, failed[0])
         if len(failed) == asked:
             raise failed[0]
         if len(failed) > MOST_FAILED * asked:
             raise CampaignError(
-                f"{len(failed)} of {asked} solver runs gave no residual, the first because: "
-                f"{failed[0]}\nnarrow the parameters' bounds"
+                f"{len(failed)} of {asked} points failed; first error: {failed[0]}\n"
+                "narrow the parameters' bounds"
             )
 
 
 def standardised(evaluation: Evaluation) -> Floats:
-    """Entries of a residual that take part, in standard deviations of the test, (n_residuals,).
+    """Return the used entries of a residual in standard deviations of the test, (n_residuals,).
 
-    A surrogate knows that
-    a shape moves on a curve, so its entries have their measured deviation alone, without what the
-    residual adds for a linear model's sake.
+    Shapes have only their measured deviation, without the part that the residual adds for a linear
+    model, because a surrogate follows the curve of a shape.
     """
     found = evaluation.residual
     used = found.weights > 0.0

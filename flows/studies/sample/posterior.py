@@ -148,7 +148,7 @@ def learned_posterior(
     working: Callable[[str], None],
     earlier: CampaignRecord | None = None,
 ) -> Iterator[PosteriorModel]:
-    """What sets over the range and near the posterior tell. Raises as `sample_campaign` does."""
+    """Learn the posterior from points over the range and near it; raises as `sample_campaign`."""
     campaign = campaign.alone(campaign.case)  # several are refused before anything runs
     parameters = campaign.parameters
     if problems := request.problems(len(parameters)):

@@ -1,14 +1,14 @@
-"""Learning the residual: sets over the whole range, then where the posterior is.
+"""Refinement of the surrogate: points over the whole range, then near the posterior.
 
-A test is far more exact than the knowledge before it, so the posterior fills a small part of the
-range. Sets spread over the range find where; further ones are taken there, drawn from a wider copy
-of what the surrogate so far says the posterior is, each as far as can be from those that are
-there. This ends where enough sets lie near the posterior and the log density of those in its 95 %
-region, each left out, is foreseen from the others within a share of 1.
+A test is far more accurate than the prior, so the posterior fills a small part of the range. Points
+over the whole range locate it; further points are drawn from a widened copy of the current
+posterior, each as far as possible from the existing ones. Refinement ends when enough points are
+near the posterior and the surrogate predicts the log density of each left-out point in its 95 %
+region within GOOD.
 
-Sets are runs of the solver, or by a reduced model, which cost little: then many are taken, and the
-surrogate has to foresee others, drawn from the posterior itself, as well. Where it does not, the
-reduced model itself gives the samples.
+The points are solver runs, or come from a cheap reduced model: then there are many, and the
+surrogate must also predict points drawn from the posterior itself. If it cannot, the samples use
+the reduced model directly.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from modetune.flows.studies.sample.surrogate import (
 )
 from modetune.flows.updating.mode_source import MANY
 
-#: Error of the log density, left out, at which learning ends; at sets of the posterior, where sets
-#: cost little; leave-one-out error of a response, in standard deviations of the test, beyond which
-#: a surrogate is refused: then it, not the test, would make the answer.
+#: Limits of errors: of the log density of left-out points; of points from the posterior, if points
+#: are cheap; and leave-one-out error of a response in standard deviations of the test. Beyond the
+#: last one the surrogate, not the test, would determine the result.
 GOOD, EXACT, REFUSED = 0.3, 0.1, 1.0
-#: New sets are drawn from so many times the posterior's width; near it is what lies within so many
-#: times the reach of all but a thousandth of it.
+#: Factor on the width of the posterior from which new points are drawn, and on the radius (99.9 %
+#: of the posterior) within which points count as near it.
 WIDER = 1.5
 #: Steps of walkers that look for the posterior between two rounds; points to choose new sets from.
 SEARCH_STEPS, CANDIDATES = 300, 400
-#: Sets from which peaks of the reduced model itself are looked for, beside what was learned.
+#: Number of points from which the search for peaks of the reduced model starts.
 CLIMBS = 5
-#: Sets over the range that are learned from at most, those that fit best: to learn takes the cube.
+#: Maximum number of points over the range to learn from: the cost grows with the cube.
 MOST_LEARNED = 1000
-#: Where sets cost little: as many batches of new sets at once, sets in all, sets of the posterior
-#: that the surrogate has to foresee.
+#: For cheap points: batches per round, maximum number of points, and number of points from the
+#: posterior that the surrogate must predict.
 BATCHES, MOST_SETS, FORESEEN = 8, 1600, 64
-#: Sets of the posterior that are solved where nobody says how many; of a reduced model, which was
-#: not learned from a few sets, two show that all is well.
+#: Default number of points of the posterior to check; two are enough for a reduced model, which
+#: was not learned from a few points.
 CHECKS, FEW = 8, 2
 
 
@@ -163,7 +163,7 @@ def learn(
 
 
 def refuse_poor(learned: Refinement, least: int) -> None:
-    """Raise CampaignError where the surrogate errs more than the test itself."""
+    """Raise CampaignError if the surrogate is less accurate than the test."""
     poor = np.flatnonzero(learned.errors > REFUSED)
     if not poor.size and learned.near.sum() >= least // 2:
         return
@@ -187,8 +187,10 @@ def refuse_poor(learned: Refinement, least: int) -> None:
 def near_posterior(
     training: Training, posterior: Posterior, missing: float, wider: float = 1.0
 ) -> NDArray[np.bool_]:
-    """Which sets lie within so many times what holds all but a share of a normal posterior, by what
-    was found there, (n_points,); none outside of the range or of limits."""
+    """Return which points are near the posterior, (n_points,).
+
+    missing: share of a normal posterior outside the radius. wider: factor on the radius.
+    """
     points = training.points
     pull = (points - posterior.prior_mean) / posterior.prior_deviation
     squares = (training.values**2).sum(axis=1) + (pull**2).sum(axis=1)
@@ -198,7 +200,7 @@ def near_posterior(
 
 
 def new_points(learned: Refinement, count: int, walkers: int, rng: np.random.Generator) -> Floats:
-    """Points (count, n_parameters) for sets near the posterior, apart from those that are there."""
+    """Return new points (count, n_parameters) near the posterior, far from existing ones."""
     posterior, peaks = learned.posterior, learned.peaks
     drawn = learned.drawn(max(CANDIDATES, 4 * count), walkers, rng)
     which = peaks.nearest(drawn)
@@ -223,10 +225,10 @@ def check(
     count: int | None,
     rng: np.random.Generator,
 ) -> Checks:
-    """Solve so many points drawn from the samples, CHECKS or FEW where not told.
+    """Solve `count` points drawn from the samples (default: CHECKS or FEW).
 
-    By the solver, or in full by its matrices where a reduced model gives sets: the solver itself
-    has confirmed that where it is worst. Raises SolverError, StoreError.
+    The solver solves them, or its matrices in full if a reduced model gives the samples; the solver
+    has confirmed the reduced model at its worst point. Raises SolverError, StoreError.
     """
     if count is None:
         count = FEW if solver.evaluator.range_use else CHECKS

@@ -123,9 +123,8 @@ def _of_peaks(record: PosteriorRecord) -> Sentences:
     )
     yield (
         True,
-        f"{seen.size} sets of parameters explain the test, apart from each other: "
-        f"{places}; mean and deviation say little here, measure another mode or a shape "
-        "that tells them apart",
+        f"{seen.size} separate regions of parameter values explain the test: {places}; mean and "
+        "deviation mean little here: measure another mode or a shape that distinguishes them",
     )
 
 
@@ -142,14 +141,13 @@ def _of_ends(record: PosteriorRecord) -> Sentences:
             if at == bound[place]:
                 yield (
                     False,
-                    f"{name} presses against its bound {at:.4g}; the test may want it beyond",
+                    f"the posterior of {name} is cut at its bound {at:.4g}",
                 )
             else:
                 yield (
                     True,
-                    f"{name} presses against the end of the learned range, {at:.4g}, "
-                    "which cuts its posterior; leave --record out to learn all between "
-                    "the bounds",
+                    f"the posterior of {name} is cut at the end {at:.4g} of the learned range; "
+                    "omit --record to learn the whole range between the bounds",
                 )
 
 
@@ -169,7 +167,7 @@ def _of_shapes(record: PosteriorRecord) -> Sentences:
         if said:
             yield (
                 False,
-                (f"{name} is not as a linear model says: {' and '.join(said)}; trust the interval"),
+                (f"{name} differs from the linear model: {' and '.join(said)}; use the interval"),
             )
 
 
@@ -178,8 +176,8 @@ def _of_prior(record: PosteriorRecord) -> Sentences:
     for place in np.flatnonzero(share > UNTOLD).tolist():
         yield (
             False,
-            f"the test says next to nothing of {record.names[place]}: its posterior is the "
-            "knowledge from before",
+            f"the test gives almost no information on {record.names[place]}: its posterior is "
+            "close to the prior",
         )
 
 
@@ -195,8 +193,8 @@ def _of_ties(record: PosteriorRecord) -> Sentences:
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         yield (
             False,
-            f"{record.names[row]} and {record.names[column]} are told together only "
-            f"(correlation {record.correlation[row, column]:+.2f})",
+            f"the test determines only a combination of {record.names[row]} and "
+            f"{record.names[column]} (correlation {record.correlation[row, column]:+.2f})",
         )
 
 
@@ -235,21 +233,21 @@ def posterior_rows(record: PosteriorRecord) -> list[PosteriorRow]:
 
 
 def posterior_table(record: PosteriorRecord) -> Table:
-    """What is known of every parameter."""
+    """Return the table of posterior values."""
     return table_of("Posterior, relative to the deck", posterior_rows(record), PosteriorRow)
 
 
 def lines(record: PosteriorRecord) -> list[str]:
-    """What was done, in sentences."""
+    """Return the sentences below the table."""
     by_model = record.by_reduced_model
     called = "reduced model" if by_model else "surrogate"
     left_out = "" if by_model else f"{record.left_out.max():.2g} with a set left out, "
     density = "" if by_model else f"; log density within {record.density_error:.2g}"
     return [
         *([record.points_by] if record.points_by else []),
-        f"solver runs: {record.runs.modal}, {record.runs.reused} answered by the store; the "
-        f"{called} rests on {record.near.size} sets, {int(record.near.sum())} of them near the "
-        f"posterior; sets left out: {len(record.failures)}",
+        f"solver runs: {record.runs.modal}, {record.runs.reused} cached; points of the {called}: "
+        f"{record.near.size}, {int(record.near.sum())} of them near the posterior; failed points: "
+        f"{len(record.failures)}",
         f"{called}, in standard deviations of the test: worst response {left_out}"
         f"{record.check_errors.max():.2g} at {len(record.check_keys)} checks{density}",
         f"samples: {record.walkers} walkers, {record.steps - record.burned} steps kept, effective "

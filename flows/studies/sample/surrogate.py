@@ -164,7 +164,7 @@ def _functions(inputs: Floats, points: Floats, order: int) -> Floats:
 
 def _fit(inputs: Floats, values: Floats, order: int) -> tuple[Floats, Floats]:
     """Factors (n_points + n_terms, n_residuals) of a spline's functions, and errors (n_points,
-    n_residuals) with a point left out; infinite where points do not tell its terms apart."""
+    n_residuals) with a point left out; infinite if the points do not determine all terms."""
     n_points = len(inputs)
     functions = _functions(inputs, inputs, order)
     whole = np.zeros((functions.shape[1],) * 2)

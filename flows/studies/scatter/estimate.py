@@ -68,8 +68,8 @@ def scatter_campaign(
     """The scatter of a campaign's parameters behind that of its repeated tests.
 
     earlier: an updated campaign to start from; working: is called with what is being computed;
-    each job. Raises CampaignError (the test was not repeated; the tests cannot tell so many
-    parameters), SolverError, ModesError, StoreError.
+    each job. Raises CampaignError (the test was not repeated; too many parameters for its
+    values), SolverError, ModesError, StoreError.
     """
     started, names = time.monotonic(), campaign.parameters.names
     free = _free(campaign, request)
@@ -132,8 +132,8 @@ def _free(campaign: Campaign, request: ScatterRequest) -> tuple[str, ...]:
     free = free or names
     if len(free) > n_values:
         raise CampaignError(
-            f"{n_values} measured values do not tell how {len(free)} parameters differ from test "
-            f"to test: name at most {n_values} of them with --of (others are the same in all)"
+            f"{n_values} measured values cannot determine the scatter of {len(free)} parameters: "
+            f"name up to {n_values} of them with --of (the others are the same in all tests)"
         )
     return free
 
@@ -191,7 +191,7 @@ def _tests(known: PosteriorModel, values: MeasuredValues, deviation: float | Non
 
 
 def _model(known: PosteriorModel, values: MeasuredValues) -> Model:
-    """The values (n, m) at sets, as the tests' are told, by what was learned."""
+    """Return the learned model of the measured values (n, m)."""
     surrogate = known.reduced or known.learned.surrogate
     return lambda sets: values.of(surrogate.residuals(sets))
 
@@ -258,13 +258,13 @@ def _within_limits(
         values = zip(known.campaign.parameters.names, answer[0].mean.tolist(), strict=True)
         said = ", ".join(f"{name} {value:.4g}" for name, value in values)
         logger.warning(
-            "the answer %s is left out: it breaks a limit (%s)",
+            "the solution %s is left out, because it violates a limit (%s)",
             said,
             ", ".join(posterior.limits.names),
         )
     if not found:
         raise CampaignError(
-            "what the tests tell breaks the limits of `residuals`: each answer is named above"
+            "every solution violates the limits of `residuals`; the warnings above list them"
         )
     return found
 

@@ -76,7 +76,9 @@ def values_of(campaign: Campaign, residual: Residual) -> MeasuredValues:
             "`residuals`, or leave the column out"
         )
     if not wanted or not wanted[0].startswith("frequency"):
-        raise CampaignError("no frequency is compared, so nothing tells how tests scatter")
+        raise CampaignError(
+            "the campaign compares no frequency, so the scatter of the tests is unknown"
+        )
     numbers = [int(name.split()[-1]) for name in wanted if name.startswith("frequency")]
     columns = np.array([labels.index(name) for name in wanted], dtype=np.int64)
     used = np.flatnonzero(there.weights > 0.0)[columns]

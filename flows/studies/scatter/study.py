@@ -23,7 +23,7 @@ def scatter(on: StudyContext, request: ScatterRequest, record: Record = None) ->
     earlier = read_record(record) if record is not None else None
     found = scatter_campaign(on.campaign, request, on.working, earlier)
     SCATTER.write(on.folder / SCATTER.file, found)
-    runs = f"solver runs: {found.runs.modal}, answered by the store: {found.runs.reused}"
+    runs = f"solver runs: {found.runs.modal}, cached: {found.runs.reused}"
     model = [found.reduced_model.sentence] if found.reduced_model else []
     judged = findings(found)
     doubts = [finding.text for finding in judged if finding.red]

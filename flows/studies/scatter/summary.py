@@ -85,14 +85,14 @@ def lines(record: ScatterRecord) -> list[str]:
     said += f", worth {record.worth:.0f} independent ones" if record.worth < n_tests - 0.5 else ""
     noise = record.answers[0].noise
     own = (
-        f"the measurement's own scatter: {100 * noise:.3g} % of a frequency"
+        f"measurement scatter: {100 * noise:.3g} % of a frequency"
         if noise
-        else "the measurement's own scatter is taken as none: all that tests differ by is laid on "
-        "the parameters"
+        else "the measurement scatter is assumed to be zero: the parameters explain all "
+        "differences between tests"
     )
     if not record.noise_told:
         low, high = (100.0 * record.answers[0].noise_interval).tolist()
-        own += f", found from the tests ({low:.3g} to {high:.3g} %)"
+        own += f", estimated from the tests ({low:.3g} to {high:.3g} %)"
     return [said, own, *record.notes]
 
 
@@ -106,9 +106,8 @@ def _findings(record: ScatterRecord) -> Sentences:
     if len(seen) > 1:
         yield (
             True,
-            f"{len(seen)} answers explain the mean of the tests, apart from each other; the "
-            "scatter of each is its own: bounds, a mode shape or another mode would tell them "
-            "apart",
+            f"{len(seen)} separate solutions explain the mean of the tests, each with its own "
+            "scatter: narrower bounds, a mode shape or another mode would distinguish them",
         )
     for place, answer in enumerate(record.answers):
         of = f"answer {place + 1}: " if len(record.answers) > 1 else ""
@@ -117,25 +116,24 @@ def _findings(record: ScatterRecord) -> Sentences:
 
 def _of_answer(answer: ScatterAnswer) -> Sentences:
     if not answer.rounds:
-        yield True, "mean and covariance did not settle; narrow the parameters' bounds"
+        yield True, "mean and covariance did not converge; narrow the parameters' bounds"
     if answer.lack < UNLIKELY:
         yield (
             True,
-            "the frequencies do not scatter as these parameters make them (as unlikely as "
-            f"{answer.lack:.1g}): others differ from test to test too, or the measurement errs by "
-            "more",
+            "these parameters do not explain the scatter of the frequencies (likelihood "
+            f"{answer.lack:.1g}): other parameters vary too, or the measurement error is larger",
         )
     if answer.cut > NEGATIVE:
         yield (
             False,
-            f"{100 * answer.cut:.0f} % of the covariance came out negative and is taken as none: "
-            "the measurement's own scatter is as large as that of some frequencies",
+            f"{100 * answer.cut:.0f} % of the covariance is negative and was set to zero: the "
+            "measurement scatter is as large as that of some frequencies",
         )
     if answer.off > ROUGH:
         yield (
             answer.off > 1.0,
-            f"full solutions are {answer.off:.2g} deviations of the tests away from what was "
-            "learned; raise --points",
+            f"full solutions differ from the surrogate by {answer.off:.2g} deviations of the "
+            "tests; raise --points",
         )
 
 

@@ -1,17 +1,16 @@
-"""Which candidates to update, and a reason for each: chosen, or why not.
+"""The choice of parameters to update, with a reason for each candidate.
 
 Four questions in turn, so that each candidate has one reason:
 
-1. Does the test see it? Over its bounds it must move the responses by more than their standard
-   deviation. All used modes count together: the root of the sum of squares is the parameter's
+1. Does the test depend on it? Over its bounds it must change the responses by more than their
+   standard deviation. The root of the sum of squares over the used modes is the parameter's
    *importance*, in standard deviations of the test.
-2. Does it say what another says already? Of candidates whose weighted sensitivity columns are
-   collinear, the one with the longest column stays.
-3. Does it help? Forward selection takes those that bring the residual down most, until the next
-   would gain too little.
-4. Where a number of parameters was asked for, QR with pivoting adds those that are most
-   independent of the ones chosen; where it takes none, because nothing is left to bring down, it
-   chooses alone.
+2. Does it duplicate another? Of candidates with collinear weighted sensitivity columns, the one
+   with the longest column stays.
+3. Does it help? Forward selection takes those that reduce the residual most, until the next would
+   gain too little.
+4. If a number of parameters was requested, QR with pivoting adds those most independent of the
+   chosen ones. It chooses alone if there is no residual to reduce.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from modetune.core.updating.subset import (
     qr_order,
 )
 
-#: Standard deviations of the test that a parameter must move the responses by.
+#: Minimum importance, in standard deviations of the test.
 LEAST_IMPORTANCE = 1.0
-#: Shares below this, 1e-6 %, are shown as 0.
+#: Shares below this, 1e-6 %, are printed as 0.
 LEAST_SHOWN = 1e-8
 
 
@@ -59,7 +58,7 @@ class CandidateParameters:
 
 @dataclass(frozen=True, slots=True)
 class ParameterVerdict:
-    """What became of a candidate, and why. rank: place among the chosen from 1, 0 if left out."""
+    """The outcome for a candidate. rank: place among the chosen from 1, 0 if rejected."""
 
     name: str
     rank: int
@@ -92,9 +91,9 @@ class ChosenParameters:
 
 
 def choose_parameters(candidates: CandidateParameters, most: int | None = None) -> ChosenParameters:
-    """A verdict for every candidate.
+    """Return a verdict for every candidate.
 
-    most: how many are chosen at most, and exactly so many where the test distinguishes them.
+    most: number of parameters to choose; fewer if the test cannot distinguish that many.
     """
     reasons: dict[int, str] = {}
     alive = _seen(candidates, reasons)
@@ -110,12 +109,12 @@ def choose_parameters(candidates: CandidateParameters, most: int | None = None) 
 
 
 def percent(share: float) -> str:
-    """A share in per cent for people; what is no more than rounding is 0."""
+    """Return a share in per cent as text; rounding errors are 0."""
     return f"{100 * share:.3g}" if share >= LEAST_SHOWN else "0"
 
 
 def _seen(candidates: CandidateParameters, reasons: dict[int, str]) -> list[int]:
-    """Positions of the candidates that the test sees."""
+    """Return positions of the candidates on which the test depends."""
     alive = []
     for place, value in enumerate(candidates.importance.tolist()):
         if candidates.missing[place]:
@@ -123,7 +122,7 @@ def _seen(candidates: CandidateParameters, reasons: dict[int, str]) -> list[int]
         elif value < LEAST_IMPORTANCE or not candidates.weighted[:, place].any():
             most = f"; most {candidates.loudest[place]}" if value > 0.0 else ""
             reasons[place] = (
-                f"insensitive: over its bounds it moves the responses by {value:.2g} standard "
+                f"insensitive: over its bounds it changes the responses by {value:.2g} standard "
                 f"deviations of the test{most}"
             )
         else:
@@ -134,7 +133,7 @@ def _seen(candidates: CandidateParameters, reasons: dict[int, str]) -> list[int]
 def _apart(
     candidates: CandidateParameters, alive: list[int], reasons: dict[int, str]
 ) -> tuple[tuple[tuple[int, ...], ...], list[int]]:
-    """Collinear groups among these candidates, and those that are left of them."""
+    """Return collinear groups among these candidates, and the remaining ones."""
     if not alive:
         return (), []
     columns = candidates.weighted[:, alive]
@@ -150,8 +149,8 @@ def _apart(
         nearest = max(like, key=lambda k: abs(cosines[k, column]))
         reasons[alive[column]] = (
             f"collinear with {candidates.names[alive[nearest]]} (cosine "
-            f"{cosines[nearest, column]:+.3f}): the test tells only a combination of the "
-            "two"
+            f"{cosines[nearest, column]:+.3f}): the test determines only a combination "
+            "of the two"
         )
     return groups, sorted(alive[column] for column in kept)
 
@@ -159,7 +158,7 @@ def _apart(
 def _helpful(
     candidates: CandidateParameters, apart: list[int], most: int | None, reasons: dict[int, str]
 ) -> tuple[list[int], tuple[float, ...]]:
-    """Positions of the chosen in their order, and the misfits along forward selection."""
+    """Return positions of the chosen in order, and the misfits along forward selection."""
     if not apart:
         return [], ()
     columns = candidates.weighted[:, apart]
@@ -176,18 +175,18 @@ def _helpful(
     order = [apart[column] for column in found.order.tolist()]
     for step, place in enumerate(order):
         reasons[place] = (
-            f"brings the residual's square from {percent(shares[step])} % down to "
-            f"{percent(shares[step + 1])} % of the first"
+            f"reduces the squared residual from {percent(shares[step])} % to "
+            f"{percent(shares[step + 1])} % of the initial one"
         )
     if most is not None or not order:
         order += _independent(candidates, apart, order, most, reasons)
     for place in apart:
         if place not in order:
             reasons[place] = (
-                f"not among the {most} asked for"
+                f"not among the {most} requested"
                 if most is not None and len(order) == most
-                else f"not needed: the residual's square would fall by less than "
-                f"{100 * LEAST_GAIN:g} % of the first"
+                else f"not needed: it would reduce the squared residual by less than "
+                f"{100 * LEAST_GAIN:g} % of the initial one"
             )
     return order, tuple(shares.tolist())
 
@@ -199,7 +198,7 @@ def _independent(
     most: int | None,
     reasons: dict[int, str],
 ) -> list[int]:
-    """More candidates, those first that are most independent of the chosen and of each other."""
+    """Return more candidates, the most independent ones first."""
     others = [place for place in apart if place not in order]
     if not others:
         return []

@@ -34,7 +34,7 @@ from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.poses import settled
 
-#: What is being run, for people.
+#: Names of the steps for the progress line.
 DECK, POINTS = "deck's values", "points of the design"
 
 
@@ -52,7 +52,7 @@ def screen_campaign(
     """
     campaign = settled(campaign)
     started = time.monotonic()
-    # One stream for the points and one for the analysis, so that either stays if the other changes.
+    # Separate streams for points and analysis, so that a change of one keeps the other.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
     parameters = campaign.parameters
     design = make_design(
@@ -136,7 +136,7 @@ def _responses(
 ) -> Responses:
     """The responses at the n points of the design; NaN where one failed.
 
-    Evaluations are let go one by one: of 5,000 all shapes would fill gigabytes.
+    Evaluations are released one by one: the shapes of 5,000 would fill gigabytes.
     """
     n_modes = nominal.pairing.measured.size
     shaped = n_modes if campaign.test.has_shapes else 0
@@ -148,7 +148,7 @@ def _responses(
         if isinstance(item, Evaluation):
             frequencies[place] = item.seen.frequencies_hz[item.pairing.computed]
             found = item.pairing.judged_mac[:shaped]
-            # A mode whose test has no shapes, beside others that have some, keeps its own.
+            # A mode from a test without shapes keeps its own, if other tests have shapes.
             macs[place] = np.where(np.isnan(found), 1.0, found)
             found = item.residual.independent(item.residual.values)[beside]
             others[place] = found / np.sqrt(item.residual.noise[beside])

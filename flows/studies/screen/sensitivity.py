@@ -37,8 +37,8 @@ class LocalSensitivity:
     """Sensitivities at the deck's values.
 
     frequencies: (n_modes, n_parameters), (df/f) / (dp/p). mac: likewise dMAC / (dp/p), without
-    rows where shapes are not compared. others: (n_others, n_parameters), of what is compared
-    beside, in standard deviations of the test, for a change by the deck's value. weighted,
+    rows where shapes are not compared. others: (n_others, n_parameters), of other
+    responses, in standard deviations of the test, for a change by the deck's value. weighted,
     weighted_residual: as `core/updating/subset` requires them. methods: how each column was
     computed; missing: why a column was unavailable, or empty.
     """
@@ -83,8 +83,10 @@ def other_rows(found: Residual) -> Integers:
 
 
 def _mac(nominal: Evaluation, sensitivity: Floats) -> Floats:
-    """dMAC / (dp/p), (n_modes, n_parameters); without rows where shapes are not compared, zero for
-    modes of a test without shapes beside one that has some."""
+    """Return dMAC / (dp/p), (n_modes, n_parameters), without rows if shapes are not compared.
+
+    Rows are zero for modes of a test without shapes.
+    """
     theta, found = nominal.theta, nominal.residual
     if not found.has("shapes"):
         return np.zeros((0, theta.size))

@@ -1,11 +1,11 @@
-"""Does an updated model hold on what it was not updated with?
+"""Validation of an updated model with data that updating did not use.
 
-Leave-one-out cross-validation: as many updates as there are used modes, each without one of them
-and judged on it. Where modes come from matrices all go on one reduced model that holds between the
-bounds and that the solver confirms once, where it was worst; else they go side by side, share a
-store and differ little at first, so most of what they ask for is there already. That the
-parameters of all these updates agree is a second sign of a sound answer; where they scatter, single
-modes decide it.
+Leave-one-out cross-validation runs one update for each used mode, without that mode, and compares
+the mode afterwards. If modes come from matrices, all updates share one reduced model that holds
+between the bounds; the solver confirms it once at its worst point. Otherwise the updates run in
+parallel and share a store, which has most of their jobs already because they differ little at
+first. If the parameters of all updates agree, the result is sound; if they scatter, it depends on
+single modes.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def _on_range(campaign: Campaign, whole: Evaluator) -> Evaluation | None:
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             raise
-        logger.info("each update goes by itself: %s", error)
+        logger.info("each update runs separately: %s", error)
         return None
     return known if whole.within(campaign, known) else None
 
@@ -240,7 +240,7 @@ def _fold(
     whole: Evaluator,
     known: Evaluation | None,
 ) -> tuple[Fold, RunCounts]:
-    """One update; the fold tells what is left out. Where it fails, the reason stands in place of
+    """Run the update of one fold. If it fails, the fold has the reason instead of
     its end.
 
     whole: evaluates the campaign that nothing is left out of; known: a set of it, around which its

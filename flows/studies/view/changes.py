@@ -1,4 +1,4 @@
-"""What was set by hand in the page, as a change of the campaign file that is shown and written."""
+"""Changes of a campaign file that a user makes on the page: review, then write."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from modetune.flows.campaign.schema import CampaignFile
 class Part:
     """A campaign file, or one of its configurations.
 
-    file: as the configuration alone would have it; place: where its `model` and `test` stand.
+    file: the configuration as a campaign. place: position of its `model` and `test` in the source.
     """
 
     source: YamlFile
@@ -59,7 +59,7 @@ def part_of(source: YamlFile, configuration: str = "") -> Part:
 
 
 def configuration_names(source: YamlFile) -> list[Json]:
-    """What may be chosen; nothing where there is one model. Raises CampaignError."""
+    """Return the configurations to choose from; none for one model. Raises CampaignError."""
     file = campaign_form(source)
     base = [BASE] if file.configurations and file.model is not None else []
     return [*base, *(item.name for item in file.configurations)]
@@ -69,7 +69,7 @@ def configuration_names(source: YamlFile) -> list[Json]:
 class Change:
     """A campaign file and its text after a change; notes: other consequences.
 
-    before: what is to be written first, such as a file that the new text names.
+    before: a function to call first, such as one that writes a file named in the new text.
     """
 
     source: YamlFile
@@ -79,7 +79,7 @@ class Change:
 
     @property
     def base(self) -> str:
-        """Names what the file holds now."""
+        """SHA-256 of the current text."""
         return hashlib.sha256(self.source.text.encode()).hexdigest()
 
     @property
@@ -105,9 +105,7 @@ class Change:
         """
         path = self.source.path.resolve()  # a link stays one
         if base != self.base:
-            raise CampaignError(
-                f"{self.source.path} was changed meanwhile; look at the change again"
-            )
+            raise CampaignError(f"{self.source.path} has changed since; review the change again")
         if self.before is not None:
             self.before()
         mode = path.stat().st_mode & 0o777

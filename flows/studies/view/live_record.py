@@ -40,7 +40,7 @@ class LiveRecord:
         if self._known is None or self._known[0] != mark:
             try:
                 record = read_record(path)
-            except ModetuneError:  # renamed meanwhile, or of another version
+            except ModetuneError:  # renamed in the meantime, or another version
                 record = None
             self._known = mark, record
         return f"{mark[0]} {mark[1]}", self._known[1]
@@ -85,22 +85,22 @@ def _status(mark: str, known: CampaignRecord | None, running: int) -> str:
 
 
 def _progress(path: Path) -> Json:
-    """What is being done, jobs done and asked; nothing where the run does not tell."""
+    """Return the current step and the jobs done and requested; None if the run reports none."""
     try:
-        told: Json = json.loads(path.read_text(encoding="utf-8"))
+        progress: Json = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return told
+    return progress
 
 
 def _jobs(store: Store) -> list[Json]:
-    """A sentence a job that is under way in a store, of whichever campaign."""
+    """Describe each running job of a store, of any campaign."""
     found = []
     for folder in sorted((store.folder / "jobs").glob("*.part")):
         try:
             since = time.time() - folder.stat().st_mtime
             note = read_note((folder / NOTE_FILE).read_text(encoding="utf-8"))
-        except OSError:  # ended meanwhile, or just begins
+        except OSError:  # has just ended or started
             continue
         what = f"{note.analysis} of {note.model} by {note.solver}" if note else "job"
         found.append(f"{what}, {folder.stem[:12]}, {max(since, 0.0):.0f} s")

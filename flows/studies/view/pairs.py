@@ -56,7 +56,7 @@ def pairs_json(
     try:
         found = first_pairs(test, elastic, case.rules)
     except ModesError as error:
-        told["note"] = f"no pairs are found without a hand: {error}"
+        told["note"] = f"no automatic pairs: {error}"
     else:
         pairs = zip(found.measured.tolist(), found.computed.tolist(), strict=True)
         told["paired"] = {str(test.numbers[m]): c + 1 for m, c in pairs if m in rows}

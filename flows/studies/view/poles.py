@@ -66,7 +66,7 @@ def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> C
     Raises CampaignError.
     """
     if not pick:
-        raise CampaignError("no pole is picked")
+        raise CampaignError("no pole is selected")
     found = _identified(_stamped(part), band, order, tuple(sorted(pick)))
     kept, replaced = _kept(part)
     geometry = next((part.geometry for part in replaced.values() if part.geometry), None)
@@ -80,7 +80,7 @@ def poles_change(part: Part, band: Band, order: int, pick: Sequence[float]) -> C
     named = [key for key in ("use", "hold_out", "pairs") if isinstance(test, dict) and key in test]
     if named:
         notes.append(
-            f"modes are numbered anew, from 1: look at {', '.join(f'test.{key}' for key in named)}"
+            f"modes are renumbered from 1: check {', '.join(f'test.{key}' for key in named)}"
         )
     files = [name, *(file for file in kept if file != name)]
     return part.change({("test", "modes"): files}, tuple(notes), write)
@@ -109,8 +109,8 @@ def _kept(part: Part) -> tuple[list[str], dict[str, Measurement]]:
             replaced[name] = held
         else:
             raise CampaignError(
-                f"{name} holds modes and response functions; modes that are picked need a file "
-                "with the functions alone"
+                f"{name} holds modes and response functions; selected poles need a file "
+                "that contains only the functions"
             )
     return kept, replaced
 
@@ -123,7 +123,7 @@ def _identified(
     frfs = read_measurement(paths).frfs
     if frfs is None:
         raise CampaignError(
-            f"{', '.join(path.name for path in paths)}: no frequency response functions to find "
-            "poles in; name their file in `test.modes` too"
+            f"{', '.join(path.name for path in paths)}: found no frequency response functions; add "
+            "their file to `test.modes`"
         )
     return identify(frfs, IdentificationSettings(band, order, pick))

@@ -289,7 +289,7 @@ def test_tests_whose_sensors_look_along_other_axes_agree(tmp_path: Path, kind: s
     assert (found.only_first, found.only_second) == ((), ())
     said = " ".join(found.notes)
     assert "look along different directions" in said
-    assert ("tells no directions" in said) == (kind == "no points")
+    assert ("has no sensor directions" in said) == (kind == "no points")
     ended = command(str(first), str(second))
     assert "look along different directions" in ended.stdout
     assert json.loads(command(str(first), str(second), "--json").stdout)["notes"] == list(

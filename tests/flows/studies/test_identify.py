@@ -274,7 +274,7 @@ def test_functions_without_a_reference_or_a_direction_are_refused() -> None:
     nothing = np.zeros_like(frfs.components)
     with pytest.raises(CampaignError, match="names no reference"):
         identify(replace(frfs, reference_components=nothing), BAND)
-    with pytest.raises(CampaignError, match="in which direction its sensor"):
+    with pytest.raises(CampaignError, match="lacks the direction of its sensor"):
         identify(replace(frfs, components=nothing), BAND)
 
 
@@ -292,7 +292,8 @@ def test_coherence_is_told_with_its_worst_function() -> None:
     found = identify(replace(frfs, coherences=coherences), BAND)
     # Thirteen functions of 1 and one of 0.5.
     assert found.notes == (
-        "mean coherence in the band is 0.96, least 0.50 at 4.z / 1.z; the fit does not weigh by it",
+        "mean coherence in the band is 0.96, least 0.50 at 4.z / 1.z; the fit does not "
+        "use it as a weight",
     )
 
 

@@ -198,7 +198,7 @@ def test_files_that_are_there_stay(tmp_path: Path) -> None:
     (tmp_path / "campaign.yaml").write_text("mine", encoding="utf-8")
     said = run_command(tmp_path, "init", "bracket.inp")
     assert said.returncode == 2
-    assert "campaign.yaml is there already and stays as it is" in said.stderr
+    assert "campaign.yaml exists already" in said.stderr
     assert (tmp_path / "campaign.yaml").read_text(encoding="utf-8") == "mine"
     said = run_command(tmp_path, "init", "bracket.inp", "--force", "--json")
     told = json.loads(said.stdout)

@@ -200,7 +200,7 @@ def test_the_command_tells_machines_and_people(
     shown = CliRunner().invoke(app, ["localise", campaign, "--no-prefect"])
     assert shown.exit_code == 0, shown.output
     assert "Where the model is wrong" in shown.stdout
-    assert "answered by the store" in shown.stdout
+    assert "cached" in shown.stdout
 
 
 #: A cantilever of solids in three materials, 300 x 20 x 10 mm, two elements across its width.

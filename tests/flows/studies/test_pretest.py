@@ -168,7 +168,7 @@ def test_information_is_that_of_differences_of_all_shapes(
         assert item.by_sensors == pytest.approx(deviations(rows)[place], rel=1e-5)
         assert item.by_all == pytest.approx(deviations(list(range(6)))[place], rel=1e-5)
         assert item.by_all <= item.by_sensors <= item.by_frequencies <= item.beforehand
-    assert {item.reason for item in found.sensors} <= {"tells k1", "tells k3"}
+    assert {item.reason for item in found.sensors} <= {"determines k1", "determines k3"}
 
 
 def test_information_takes_one_matrix_job_for_springs_apart_and_none_again(bench: Any) -> None:
@@ -201,9 +201,9 @@ def test_sensors_that_cannot_tell_modes_apart_are_said_with_the_number_that_can(
     assert found.doubtful
     assert found.needed is not None
     first, second = (found.mode_numbers[place] for place in found.quality.pair)
-    (said,) = [note for note in found.notes if "look alike" in note]
-    assert f"modes {first} and {second} look alike to these 4 sensors" in said
-    assert f"{found.needed} sensors of effective independence would do" in said
+    (said,) = [note for note in found.notes if "hardly distinguish" in note]
+    assert f"these 4 sensors can hardly distinguish modes {first} and {second}" in said
+    assert f"{found.needed} sensors by effective independence are enough" in said
     enough = replace(settings, sensors=found.needed, method="effective_independence")
     assert run_pretest(bench.campaign(TRUTH), enough).quality.largest <= 0.25
 
@@ -214,7 +214,7 @@ def test_where_more_sensors_do_not_help_another_way_is_named(bench: Any, tmp_pat
     found = run_pretest(bench.campaign(TRUTH), settings)
     assert found.doubtful
     assert found.needed is None
-    (said,) = [note for note in found.notes if "look alike" in note]
+    (said,) = [note for note in found.notes if "hardly distinguish" in note]
     assert f"({found.whole.largest:.2f} with all 3 candidates): try --method auto_mac" in said
 
 
@@ -234,10 +234,10 @@ def test_a_distance_is_kept_and_one_that_nobody_asked_for_gives_way(bench: Any) 
 
 def test_fewer_sensors_than_modes_are_refused_before_any_run(bench: Any) -> None:
     settings = PretestSettings(modes=(1, 2, 3), sensors=2)
-    with pytest.raises(CampaignError, match="--sensors 2: fewer than the 3 modes"):
+    with pytest.raises(CampaignError, match="--sensors 2: too few to distinguish 3 modes"):
         run_pretest(bench.campaign(TRUTH), settings)
     assert bench.runs() == 0
-    with pytest.raises(CampaignError, match="--sensors 2: fewer than the 6 modes"):
+    with pytest.raises(CampaignError, match="--sensors 2: too few to distinguish 6 modes"):
         run_pretest(bench.campaign(TRUTH), PretestSettings(sensors=2))
 
 
@@ -306,7 +306,7 @@ def test_a_list_of_candidates_is_read_and_its_mistakes_told_with_their_lines(
 def test_information_without_parameters_is_refused(bench: Any) -> None:
     campaign = bench.campaign({}, parameters={})
     nobody = replace(campaign, parameters=type(campaign.parameters)(()))
-    with pytest.raises(CampaignError, match="need `parameters`"):
+    with pytest.raises(CampaignError, match="places sensors for `parameters`"):
         run_pretest(nobody, PretestSettings(modes=(1,), method="information"))
 
 
@@ -354,7 +354,7 @@ def test_a_strip_is_measured_out_of_its_plane_and_the_file_is_a_test(
     assert {(240.0, -20.0), (240.0, 20.0)} <= places  # free corners: bending and torsion
     alike = told["quality"]["largest_auto_mac"] > 0.25
     assert told["status"] == ("doubtful" if alike else "good")
-    assert alike == any("look alike" in note for note in told["notes"])
+    assert alike == any("hardly distinguish" in note for note in told["notes"])
 
     again = json.loads(call(*arguments).stdout)
     runs = again["solver_runs"]

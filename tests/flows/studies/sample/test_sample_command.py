@@ -56,7 +56,7 @@ def test_the_json_names_every_parameter_response_and_file(folder: Path) -> None:
     assert all((folder / path).is_file() for path in told["written"])
     again = typed("--steps", "500", "--checks", "2")
     assert again.exit_code == 0
-    assert re.search(r"solver runs: 0, \d+ answered by the store", again.stdout)
+    assert re.search(r"solver runs: 0, \d+ cached", again.stdout)
     assert "Posterior, relative to the deck" in again.stdout
 
 

@@ -65,7 +65,7 @@ def test_a_row_of_masses_has_two_answers_and_the_covariance_of_one(row: Path) ->
     assert result.exit_code == 3, result.output  # the row is the same from both ends
     said = json.loads(result.stdout)
     assert said["status"] == "doubtful"
-    assert "2 answers explain the mean of the tests" in said["findings"][0]["text"]
+    assert "2 separate solutions explain the mean of the tests" in said["findings"][0]["text"]
     assert all(Path(path).is_file() for path in said["written"])
     record = SCATTER.read(Path("runs/row/scatter.h5"))
     means = np.array([answer.mean for answer in record.answers])
@@ -79,8 +79,8 @@ def test_a_row_of_masses_has_two_answers_and_the_covariance_of_one(row: Path) ->
     np.testing.assert_allclose(other.mean, answer.mean[::-1], atol=3e-3)
     again = typed(str(row))
     assert again.exit_code == 3
-    assert "solver runs: 0, answered by the store" in again.stdout
-    assert "found from the tests" in again.stdout
+    assert "solver runs: 0, cached" in again.stdout
+    assert "estimated from the tests" in again.stdout
 
 
 def _recovered(record: ScatterRecord, place: int, sizes: Floats) -> None:
@@ -120,7 +120,10 @@ def test_the_campaign_weighs_by_the_whole_covariance(row: Path) -> None:
     [
         (("--of", "k2"), "--of k2: the campaign has no such parameter"),
         (("--measurement-deviation", "-1"), "--measurement-deviation -1: expected 0 or more"),
-        (("--set", "test.use=[1]"), "1 measured values do not tell how 2 parameters differ"),
+        (
+            ("--set", "test.use=[1]"),
+            "1 measured values cannot determine the scatter of 2 parameters",
+        ),
         (("--set", "test.modes=one.csv"), "campaign.yaml: the test was not repeated"),
     ],
 )

@@ -53,14 +53,14 @@ def test_each_candidate_has_its_reason() -> None:
     # The residual is two thirds along E_fin, one along E_wing: squares 16 and 4 of 20.
     choice = chosen(np.array([2.0, 4.0, 0.0, 0.0, 0.0]))
     assert choice.chosen == ("E_fin", "E_wing")
-    assert "from 100 % down to 20 %" in reason(choice, "E_fin")
+    assert "from 100 % to 20 %" in reason(choice, "E_fin")
     assert reason(choice, "t_wing").startswith("collinear with E_wing (cosine +0.99")
     assert "only a combination of the two" in reason(choice, "t_wing")
     assert reason(choice, "E_strut") == (
-        "insensitive: over its bounds it moves the responses by 0.01 standard deviations of the "
+        "insensitive: over its bounds it changes the responses by 0.01 standard deviations of the "
         "test; most frequency of mode 1"
     )
-    assert "not needed: the residual's square would fall by less than 1 %" in reason(
+    assert "not needed: it would reduce the squared residual by less than 1 %" in reason(
         choice, "E_tail"
     )
     assert choice.groups == ((0, 2),)
@@ -77,7 +77,7 @@ def test_a_number_asked_for_is_filled_with_what_is_most_independent() -> None:
 def test_a_number_asked_for_is_not_passed() -> None:
     choice = chosen(np.array([2.0, 4.0, 0.0, 0.0, 0.0]), most=1)
     assert choice.chosen == ("E_fin",)
-    assert reason(choice, "E_wing") == "not among the 1 asked for"
+    assert reason(choice, "E_wing") == "not among the 1 requested"
 
 
 def test_more_than_can_be_told_apart_are_never_chosen() -> None:
@@ -111,7 +111,7 @@ def test_opposite_columns_are_collinear_too() -> None:
 def test_a_share_that_is_rounding_is_shown_as_zero() -> None:
     assert [percent(share) for share in (0.1234, 1.1e-8, 3e-17)] == ["12.3", "1.1e-06", "0"]
     choice = chosen(np.array([2.0, 4.0, 0.0, 0.0, 0.0]))
-    assert "down to 0 %" in reason(choice, "E_wing")
+    assert "to 0 % of the initial one" in reason(choice, "E_wing")
 
 
 def test_a_weak_parameter_whose_bounds_allow_too_little_is_not_chosen() -> None:

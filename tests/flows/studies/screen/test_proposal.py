@@ -32,7 +32,7 @@ def screening(names: tuple[str, ...], chosen: tuple[str, ...]) -> Screening:
             "helps"
             if name in chosen
             else f"collinear with {chosen[0] if chosen else '?'} "
-            "(cosine +0.987): the test tells only a combination of the two, a long sentence",
+            "(cosine +0.987): the test determines only a combination of the two, a long sentence",
         )
         for name in names
     )

@@ -132,7 +132,7 @@ def test_only_the_token_opens_the_page_once_and_only_this_host_and_page_may_ask(
         mine = {"origin": viewed.base}
         stale = client.post("/change", json=asked, headers=mine)
         assert stale.status_code == 422
-        assert "was changed meanwhile" in stale.json()["problems"][0]
+        assert "has changed since" in stale.json()["problems"][0]
         assert viewed.text() == before
         preflight = client.options("/change", headers={"origin": "http://evil.example"})
         assert preflight.status_code == 403
