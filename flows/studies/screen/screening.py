@@ -24,10 +24,11 @@ from modetune.flows.studies.screen.indices import design_indices
 from modetune.flows.studies.screen.record import Responses, Screening, mode_names
 from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.sensitivity import (
-    importance,
+    LocalSensitivity,
     local_sensitivity,
-    loudest,
+    most_moved,
     other_rows,
+    seen_moves,
 )
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import evaluator_of
@@ -45,24 +46,18 @@ def screen_campaign(
 ) -> Screening:
     """Screen a campaign's parameters within their bounds.
 
-    working: is called with what is being computed.
+    working: receives the current step. Failed points are left out as the method allows.
 
-    Points that fail are left out as the method allows. Raises CampaignError (a design that cannot
-    be), SolverError, ModesError (too few points are left), StoreError.
+    Raises CampaignError (an impossible design), SolverError, ModesError (too few points remain),
+    StoreError.
     """
     campaign = settled(campaign)
     started = time.monotonic()
     # Separate streams for points and analysis, so that a change of one keeps the other.
     at_points, at_indices = np.random.default_rng(request.seed).spawn(2)
     parameters = campaign.parameters
-    design = make_design(
-        request.method,
-        parameters.lower,
-        parameters.upper,
-        at_points,
-        request.points,
-        request.levels,
-    )
+    bounds = parameters.lower, parameters.upper
+    design = make_design(request.method, *bounds, at_points, request.points, request.levels)
     version = campaign.solver_version()  # report a missing solver before anything else starts
     check_writable(campaign.store.folder, STORE_REMEDY)
     with solving_engine(campaign) as engine:
@@ -78,26 +73,13 @@ def screen_campaign(
     found = None
     if request.method != "local":
         found = design_indices(design, _relative(responses, nominal), at_indices)
-    paired = nominal.pairing.measured.tolist()
+    pairing, names = nominal.pairing, campaign.configurations
+    paired = pairing.measured.tolist()
     numbers = tuple(campaign.test.numbers[place] for place in paired)
-    names = campaign.configurations
     configurations = tuple(names[place] for place in paired) if names else ()
-    values = importance(campaign, design, local, found)
-    allowed = [
-        (bound - nominal.theta) / parameters.standard_deviations
-        for bound in (parameters.lower, parameters.upper)
-    ]
-    modes = mode_names(numbers, configurations)
-    candidates = CandidateParameters(
-        parameters.names,
-        values,
-        loudest(campaign, modes, responses.other_names, design, local, found),
-        local.missing,
-        local.weighted,
-        local.weighted_residual,
-        *allowed,
-    )
-    pairing = nominal.pairing
+    moves = seen_moves(campaign, design, local, found)
+    loudest = most_moved(moves, mode_names(numbers, configurations), responses.other_names)
+    candidates = _candidates(campaign, nominal, local, moves, loudest)
     return Screening(
         name=campaign.name,
         seed=request.seed,
@@ -115,13 +97,38 @@ def screen_campaign(
         responses=responses,
         local=local,
         indices=found,
-        importance=values,
+        importance=candidates.importance,
         choice=choose_parameters(candidates, request.choose),
         runs=evaluator.runs,
         wall_s=time.monotonic() - started,
         wanted=request.choose or 0,
         reduced_model=evaluator.range_use,
         configurations=configurations,
+    )
+
+
+def _candidates(
+    campaign: Campaign,
+    nominal: Evaluation,
+    local: LocalSensitivity,
+    moves: Floats,
+    loudest: tuple[str, ...],
+) -> CandidateParameters:
+    """Return the candidates; their importance is the root of the sum of squares of the moves."""
+    parameters = campaign.parameters
+    lower, upper = (
+        (bound - nominal.theta) / parameters.standard_deviations
+        for bound in (parameters.lower, parameters.upper)
+    )
+    return CandidateParameters(
+        names=parameters.names,
+        importance=np.asarray(np.linalg.norm(moves, axis=0)),
+        loudest=loudest,
+        missing=local.missing,
+        weighted=local.weighted,
+        weighted_residual=local.weighted_residual,
+        lower=lower,
+        upper=upper,
     )
 
 

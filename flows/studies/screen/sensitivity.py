@@ -99,24 +99,12 @@ def _mac(nominal: Evaluation, sensitivity: Floats) -> Floats:
     return np.asarray(2.0 * np.concatenate(slopes) * theta)
 
 
-def importance(
-    campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
-) -> Floats:
-    """Standard deviations of the test that each parameter moves the responses by, (n,)."""
-    return np.asarray(np.linalg.norm(seen_moves(campaign, design, local, found), axis=0))
+def most_moved(moves: Floats, modes: Sequence[str], others: Sequence[str]) -> tuple[str, ...]:
+    """Return the name of the response that each parameter moves most.
 
-
-def loudest(
-    campaign: Campaign,
-    modes: Sequence[str],
-    others: Sequence[str],
-    design: Design,
-    local: LocalSensitivity,
-    found: Indices | None,
-) -> tuple[str, ...]:
-    """The response that each parameter moves most, for people; modes: names of the paired ones;
-    others: of responses other than frequencies and shapes."""
-    moves = seen_moves(campaign, design, local, found)
+    moves: as `seen_moves` returns them. modes: names of the paired modes. others: names of
+    responses other than frequencies and shapes.
+    """
     names = [f"{what} of {name}" for what in ("frequency", "MAC") for name in modes]
     names[len(moves) - len(others) :] = others
     return tuple(names[row] for row in moves.argmax(axis=0).tolist())
@@ -125,7 +113,10 @@ def loudest(
 def seen_moves(
     campaign: Campaign, design: Design, local: LocalSensitivity, found: Indices | None
 ) -> Floats:
-    """The same of each response, (n_responses, n_parameters); zero where it is not compared."""
+    """Return the change of each response over the bounds, in standard deviations of the test.
+
+    (n_responses, n_parameters), zero for responses that are not compared.
+    """
     weighting, n = campaign.weighting, local.frequencies.shape[0]
     if found is None:
         width, initial = design.upper - design.lower, campaign.parameters.initial
