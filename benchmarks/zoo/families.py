@@ -6,6 +6,13 @@ from collections.abc import Callable
 
 from benchmarks.zoo.frames import grillage, stick, tower
 from benchmarks.zoo.matrix_models import assembly, chain, mechanism, polar_masses
+from benchmarks.zoo.several_minima import (
+    far_frame,
+    mirrored_beam,
+    sectors,
+    series_springs,
+    soil_building,
+)
 from benchmarks.zoo.shells import laminate, stiffened_plate, tube
 from benchmarks.zoo.solids import bracket, round_bar, soft_mounts, square_bar, string
 from benchmarks.zoo.structure import Generator, Structure
@@ -28,5 +35,10 @@ FAMILIES: dict[str, Callable[[Generator], Structure]] = {
         mechanism,
         polar_masses,
         assembly,
+        sectors,
+        mirrored_beam,
+        soil_building,
+        series_springs,
+        far_frame,
     )
 }

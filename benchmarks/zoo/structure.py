@@ -22,7 +22,8 @@ class Structure:
     """A structure to update.
 
     deck: its text, or arrays of a model of matrices; parameters: candidates as in a campaign
-    file; sensors: nodes at which a test may measure; n_modes: elastic modes of the test.
+    file; sensors: nodes at which a test may measure; n_modes: elastic modes of the test. truth: of
+    the parameters, where the family draws it; with_shapes: whether shapes are compared.
     """
 
     family: str
@@ -31,6 +32,8 @@ class Structure:
     sensors: tuple[int, ...]
     n_modes: int
     solver: str = "calculix"
+    truth: dict[str, float] | None = None
+    with_shapes: bool = True
 
 
 def modulus(material: str) -> dict[str, Any]:

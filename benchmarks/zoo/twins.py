@@ -75,6 +75,8 @@ def measured(
     elif kind == "turned" and structure.solver != "matrices":
         return _turned(modes, places, structure, rng, folder)
     names = zip(modes.nodes.tolist(), modes.components.tolist(), strict=True)
+    if not structure.with_shapes:
+        return {"frequencies_hz": modes.frequencies_hz}
     return {
         "frequencies_hz": modes.frequencies_hz,
         "mode_shapes": modes.mode_shapes,

@@ -72,6 +72,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from modetune.core.brief import brief
@@ -240,7 +241,20 @@ class CampaignRecord:
         return TrustVerdict.NOT_JUDGED if self.trust is None else self.trust.verdict
 
 
-CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 7)
+def _with_extent(file: h5py.File) -> None:
+    """Change the content of format 7 into that of 8, which has valleys and exchanges of starts."""
+    spread = file.get("trust/spread")
+    if spread is None:
+        return
+    starts, updated, minima = (spread[name][()] for name in ("starts", "updated", "minima"))
+    own = updated[minima == 0]
+    spread.attrs["n_starts"] = len(starts)
+    spread["exchanged"] = np.zeros(0, dtype=np.int64)
+    spread["extent"] = np.vstack([own.min(axis=0), own.max(axis=0)])
+    spread.create_dataset("valley", shape=(0,), dtype=h5py.string_dtype())
+
+
+CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 8, {7: _with_extent})
 
 
 def write_record(path: Path, record: CampaignRecord) -> None:

@@ -10,17 +10,17 @@
 HDF5 hangs or crashes on some files with a wrong byte, so the seal is checked before HDF5 sees the
 content. For the same reason HDF5 never touches the disk here: files are made and read in memory.
 
-A record is one dataclass in a sealed file, written by the codec. A record of another format, older
-or newer, is refused with a sentence that says what to do.
+A record is one dataclass in a sealed file, written by the codec. A record of another format is
+refused with a sentence that says what to do, unless its kind knows how to bring it up to date.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Generic, TypeVar
 
@@ -78,10 +78,13 @@ def read_head(file: IO[bytes], title: str) -> str:
 
 
 @contextmanager
-def content(data: bytes) -> Iterator[h5py.File]:
-    """The HDF5 content of a file whose seal holds. Raises StoreDamaged where that is not HDF5."""
+def content(data: bytes, mode: str = "r") -> Iterator[h5py.File]:
+    """The HDF5 content of a file whose seal holds. Raises StoreDamaged where that is not HDF5.
+
+    mode: "r+" for a copy that may be changed.
+    """
     try:
-        file = h5py.File(io.BytesIO(data), "r")
+        file = h5py.File(io.BytesIO(data), mode)
     except (OSError, RuntimeError, ValueError) as error:
         raise StoreDamaged(f"what is sealed is not HDF5: {error}") from error
     with file:
@@ -92,13 +95,15 @@ def content(data: bytes) -> Iterator[h5py.File]:
 class RecordFile(Generic[R]):
     """A kind of record: what it is of, its usual file name, and the number of its format.
 
-    The number grows whenever the layout of its dataclasses changes.
+    The number grows whenever the layout of its dataclasses changes. earlier: by the number of an
+    earlier format, a function that changes the content of such a file into the next one's.
     """
 
     kind: type[R]
     noun: str
     file: str
     format: int
+    earlier: Mapping[int, Callable[[h5py.File], None]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -129,7 +134,10 @@ class RecordFile(Generic[R]):
             )
         if not title.startswith(self.title):
             raise CampaignError(f"{path} is not {what}, or its beginning is damaged")
-        if title != f"{self.title}{self.format}":
+        number = title.removeprefix(self.title)
+        found = int(number) if number.isdecimal() else 0
+        upgrades = [self.earlier.get(n) for n in range(found, self.format)]
+        if found > self.format or None in upgrades:
             raise CampaignError(
                 f"{path} is a {title.removeprefix('modetune ')}, and this version of modetune "
                 f"reads format {self.format}; use the version that wrote it, or run the "
@@ -141,7 +149,9 @@ class RecordFile(Generic[R]):
                 f"it again, or run the {self.noun} again, for which the store has what was solved"
             )
         try:
-            with content(data) as file:
+            with content(data, "r+" if upgrades else "r") as file:
+                for upgrade in filter(None, upgrades):
+                    upgrade(file)
                 return read_value(file, self.kind)
         except StoreDamaged as problem:
             raise StoreDamaged(f"{path} is not {what}: {problem}") from problem

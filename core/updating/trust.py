@@ -115,12 +115,16 @@ class ParameterTrust:
 
 @dataclass(frozen=True, slots=True)
 class StartSpread:
-    """Where updates from several starts ended.
+    """The ends of searches from several starts, and their local minima.
 
-    starts, updated: (n_starts, n_parameters), NaN where one failed; misfits: (n_starts,);
-    outcomes: status of each, or why it failed; minima: (n_starts,), numbers of the places where
-    they ended, 0 being that of the answer, -1 failed; rivals: numbers of other places that fit as
-    well; differ: names of parameters that have other values there; chosen: the start of the answer.
+    starts, updated: (n_ends, n_parameters). The first `n_starts` ends are of the starts; others
+    left a saddle or are exchanges, and their starts are NaN. updated is NaN where a search failed.
+    misfits: (n_ends,). outcomes: the status of each, or why it failed. minima: (n_ends,), numbers
+    of the local minima, 0 the answer's, -1 where the end is none. rivals: numbers of minima whose
+    misfit is as low as the answer's. exchanged: those of them that have the answer's values in
+    another order. differ: names of parameters that have other values at rivals. chosen: the end of
+    the answer. extent: (2, n_parameters), least and largest values within the answer's minimum;
+    valley: names of parameters that these leave in doubt.
     """
 
     starts: Floats
@@ -132,10 +136,20 @@ class StartSpread:
     differ: tuple[str, ...]
     chosen: int
     seed: int
+    n_starts: int
+    exchanged: tuple[int, ...]
+    extent: Floats
+    valley: tuple[str, ...]
 
     @property
     def n_ended(self) -> int:
-        return int(np.sum(self.minima >= 0))
+        """The number of starts whose search did not fail."""
+        return int(np.isfinite(self.misfits[: self.n_starts]).sum())
+
+    def lowest(self, minimum: int) -> int:
+        """Return the end with the lowest misfit of a minimum."""
+        members = np.flatnonzero(self.minima == minimum)
+        return int(members[np.argmin(self.misfits[members])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,9 +207,20 @@ class Trust:
         return bool(((self.short > SHORT) & (np.abs(self.remaining) > NEGLIGIBLE)).any())
 
     @property
+    def untested(self) -> bool:
+        """Whether no other start was tried, so that there may be other minima."""
+        return self.spread is None or self.spread.n_ended < 2
+
+    @property
     def unchecked(self) -> bool:
         """Whether nothing but the fit itself speaks for it, and any test can be fitted."""
-        return self.freedom <= 0 and (self.spread is None or self.spread.n_ended < 2)
+        return self.freedom <= 0 and self.untested
+
+    @property
+    def fit_as_well(self) -> tuple[int, ...]:
+        """Numbers of other minima that fit the test as well; none where not even the answer fits,
+        because of a model-form error."""
+        return () if self.spread is None or self.times_noise > 0.0 else self.spread.rivals
 
     @property
     def flagged(self) -> tuple[ParameterTrust, ...]:
@@ -210,21 +235,26 @@ class Trust:
             return TrustVerdict.NOT_TRUSTED
         rivals = self.spread is not None and bool(self.spread.rivals)
         unsure = self.unseen or self.concerns or self.too_short or self.freedom <= 0
+        unsure = unsure or self.untested
         if doubtful or rivals or unsure or not self.agrees:
             return TrustVerdict.RESERVATIONS
         return TrustVerdict.TRUSTED
 
 
 def with_spread(trust: Trust, spread: StartSpread) -> Trust:
-    """With what updates from several starts showed."""
-    said = "ends elsewhere from other starts, where the model fits as well"
-    judged = tuple(
-        replace(item, flags=(*item.flags, "starts"), clauses=(*item.clauses, said))
-        if item.name in spread.differ
-        else item
-        for item in trust.parameters
-    )
-    return replace(trust, parameters=judged, spread=spread)
+    """Return trust with the minima that searches from several starts found."""
+    said = "has another value at another minimum with as low a misfit"
+    judged = []
+    for place, item in enumerate(trust.parameters):
+        clauses = [said] if item.name in spread.differ else []
+        if item.name in spread.valley and not item.doubtful:
+            low, high = spread.extent[:, place]
+            clauses.append(f"may be anywhere from {low:.4g} to {high:.4g}, along a valley")
+        if clauses:
+            flags, clauses = (*item.flags, "starts"), [*item.clauses, "; it ".join(clauses)]
+            item = replace(item, flags=flags, clauses=tuple(clauses))
+        judged.append(item)
+    return replace(trust, parameters=tuple(judged), spread=spread)
 
 
 def with_concerns(trust: Trust, *concerns: str) -> Trust:
@@ -460,8 +490,12 @@ def verdict_reasons(trust: Trust) -> tuple[str, ...]:
         reasons.append("the test can hardly separate some parameters")
     if not trust.agrees:
         reasons.append("e1 is not met")
-    if trust.spread is not None and trust.spread.rivals:
-        reasons.append("other starts fit as well with other values")
+    if trust.fit_as_well:
+        reasons.append("other values fit as well")
+    elif trust.spread is not None and trust.spread.rivals:
+        reasons.append("other values have as low a misfit")
+    if trust.untested:
+        reasons.append("uniqueness not tested")
     if trust.too_short:
         reasons.append(f"the minimum misfit is more than {SHORT:.0f} standard errors away")
     if trust.concerns:
@@ -483,27 +517,70 @@ def _verdict_sentence(trust: Trust) -> str:
 def _spread_sentences(trust: Trust) -> list[str]:
     spread = trust.spread
     if spread is None:
-        return []
-    n, places = spread.starts.shape[0], int(spread.minima.max(initial=0)) + 1
-    failed = n - spread.n_ended
-    ended = f"{spread.n_ended} of {n} starts ended" if failed else f"All {n} starts ended"
-    if places == 1:
-        return [f"{ended} at the same values."]
-    same = int(np.sum(spread.minima == 0))
-    as_well = (
-        f", {len(spread.rivals)} of which fit as well" if spread.rivals else ", which fit worse"
-    )
-    told = f"{ended}, in {places} places: {same} at the answer, the others elsewhere{as_well}."
-    names = [item.name for item in trust.parameters]
+        return ["Uniqueness not tested: no other starting point was tried."]
+    names, n = [item.name for item in trust.parameters], spread.n_starts
+    said = [_starts_sentence(spread, n)]
+    if spread.valley:
+        ranges = ", ".join(
+            f"{name} {low:.4g} to {high:.4g}"
+            for name, low, high in zip(names, *spread.extent, strict=True)
+            if name in spread.valley
+        )
+        said.append(f"Along a valley the misfit rises by no more than noise: {ranges}.")
+    return [*said, *_rival_sentences(trust, spread, names), *_worse_sentence(spread)]
+
+
+def _starts_sentence(spread: StartSpread, n: int) -> str:
+    """How many starts led where."""
+    numbers = spread.minima[:n]
+    same, saddles = int(np.sum(numbers == 0)), spread.n_ended - int(np.sum(numbers >= 0))
+    others = int(np.sum(numbers > 0))
+    if same == n:
+        return f"All {n} starting points converged to the reported solution."
+    counts = [(same, "converged to the reported solution"), (others, "to other minima")]
+    counts += [
+        (saddles, "to saddles" if saddles > 1 else "to a saddle"),
+        (n - spread.n_ended, "failed"),
+    ]
+    return f"Of {n} starting points " + ", ".join(f"{k} {what}" for k, what in counts if k) + "."
+
+
+def _rival_sentences(trust: Trust, spread: StartSpread, names: list[str]) -> list[str]:
+    """A sentence a minimum with as low a misfit, and one for all exchanges."""
     answer = _values(names, [item.updated for item in trust.parameters])
-    others = [
-        _values(names, spread.updated[int(np.flatnonzero(spread.minima == place)[0])].tolist())
-        for place in spread.rivals
-    ]
-    return [
-        told,
-        *(f"Another set fits as well: {values}; the answer is {answer}." for values in others),
-    ]
+    good = "fit as well" if trust.fit_as_well else "have as low a misfit"
+    one = "fit as well" if trust.fit_as_well else "have a misfit as low"
+    said = []
+    if spread.exchanged:
+        ends = [spread.lowest(number) for number in spread.exchanged]
+        own = np.array([item.updated for item in trust.parameters])
+        moved = np.abs(spread.updated[ends] - own).max(axis=0) > NEGLIGIBLE
+        which = _listed([name for name, on in zip(names, moved.tolist(), strict=True) if on])
+        example = _values(names, spread.updated[ends[0]].tolist())
+        if len(ends) == 1:
+            verb = good.replace("fit", "fits").replace("have", "has")
+            what = f"Another minimum, an exchange of the values of {which}, {verb}:"
+        else:
+            what = f"{len(ends)} more minima, exchanges of the values of {which}, {good}, such as"
+        said.append(f"{what} {example}; the answer is {answer}.")
+    for number in spread.rivals:
+        if number not in spread.exchanged:
+            values = _values(names, spread.updated[spread.lowest(number)].tolist())
+            said.append(f"Other values {one}: {values}; the answer is {answer}.")
+    return said
+
+
+def _worse_sentence(spread: StartSpread) -> list[str]:
+    """A sentence with the misfits of worse minima."""
+    numbers = [n for n in range(1, int(spread.minima.max(initial=0)) + 1) if n not in spread.rivals]
+    if not numbers:
+        return []
+    misfits = sorted(float(spread.misfits[spread.lowest(number)]) for number in numbers)
+    shown = ", ".join(f"{misfit:.3g}" for misfit in misfits[:LISTED])
+    more = ", ..." if len(misfits) > LISTED else ""
+    what = "worse local minimum has" if len(numbers) == 1 else "worse local minima have"
+    own = float(spread.misfits[spread.chosen])
+    return [f"{len(numbers)} {what} a misfit of {shown}{more} (the answer {own:.3g})."]
 
 
 def _values(names: list[str], values: list[float]) -> str:

@@ -223,7 +223,7 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
     drawn = (
         "not used"
         if spread is None
-        else f"starts 2 to {len(spread.outcomes)}, drawn with seed {spread.seed}; not in steps"
+        else f"starts 2 to {spread.n_starts}, drawn with seed {spread.seed}; not in steps"
     )
     # Older records have a digest of the job's content, without a file name.
     is_file = " " in record.deck_digest

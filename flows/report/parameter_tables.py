@@ -170,7 +170,8 @@ def start_table(record: CampaignRecord) -> Table:
         if spread is None
         else tuple(
             (
-                f"{start + 1}{' (reported)' if start == spread.chosen else ''}",
+                f"{start + 1 if start < spread.n_starts else '-'}"
+                f"{' (reported)' if start == spread.chosen else ''}",
                 int(spread.minima[start]) + 1 or None,
                 spread.misfits[start],
                 *record.parameters.shown(spread.updated[start]),

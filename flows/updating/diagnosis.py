@@ -218,11 +218,11 @@ def trust_summary(trust: Trust | None) -> Json:
             )
             for item, way in zip(trust.parameters, trust.remaining.tolist(), strict=True)
         ],
-        **({} if trust.spread is None else {"starts": _told_starts(trust.spread)}),
+        **({} if trust.spread is None else {"starts": _told_starts(trust, trust.spread)}),
     )
 
 
-def _told_starts(spread: StartSpread) -> Json:
+def _told_starts(trust: Trust, spread: StartSpread) -> Json:
     columns = zip(
         spread.starts, spread.updated, spread.misfits, spread.outcomes, spread.minima, strict=True
     )
@@ -231,7 +231,15 @@ def _told_starts(spread: StartSpread) -> Json:
         spread,
         "seed chosen differ",
         places=int(spread.minima.max(initial=-1)) + 1,
-        fit_as_well=spread.rivals,
+        fit_as_well=trust.fit_as_well,
+        exchanged=spread.exchanged,
+        valley={
+            name: [low, high]
+            for name, low, high in zip(
+                (item.name for item in trust.parameters), *spread.extent.tolist(), strict=True
+            )
+            if name in spread.valley
+        },
         runs=[dict(zip(heads, run, strict=True)) for run in columns],
     )
 

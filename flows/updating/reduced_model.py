@@ -206,7 +206,7 @@ class ReducedModes(ModeFinder):
 
     around: the evaluated case, whose degrees of freedom the model has; key: of the modes. matrices:
     of a model within the bounds, whose jobs are done; in_full: whether they solve the points where
-    the model's error may be too large.
+    the model's error may be too large. exact: whether the model has all unknowns.
     """
 
     model: ReducedModel | ReducedRange
@@ -217,6 +217,7 @@ class ReducedModes(ModeFinder):
     name: str = REDUCED
     cheap: bool = True
     tally: Tally = field(default_factory=Tally)
+    exact: bool = False
 
     @property
     def range(self) -> ReducedRange:

@@ -1,10 +1,21 @@
-"""Where updates from several starts ended: in one place or in several, and which fit as well.
+"""The search for distinct local minima from several starts, and the choice of the best one.
 
-Ends that differ by no more than the measurements leave open (three standard errors; where updating
-ended before the least misfit, as if frequencies were measured as loosely as e1 judges them) are one
-place. At the least misfit another place fits as well where its misfit is no more above the
-answer's than noise makes it in 99 of 100 cases (a chi-square of as many degrees of freedom as
-there are parameters), or than a tenth; before the least misfit, where it meets e1 too.
+Starts are the campaign's own and a Latin hypercube within the bounds. Where modes come from
+matrices, all searches run on reduced models, which take milliseconds a point and no solver run:
+
+    from each start    the campaign's loop, then polishing (`core/updating/minima`)
+    at each end        a saddle is left to both sides by a kick along its negative curvature
+    between ends       one minimum or two: the misfit on a relaxed path, modes paired again
+    at the best one    exchanges of its values that have the same misfit
+
+A minimum that reduced models find far from the point that they were made at is looked at with the
+modes of all unknowns, and with a reduced model made there. Without matrices only starts that the
+campaign requests are run, by the solver, and the sensitivities at two ends predict the misfit
+between them.
+
+**Choice.** The lowest objective of the campaign, prior included. Within a difference of 6.6
+(chi-square, 1 degree of freedom, 1 %) an end that meets e1 comes first, then the lower misfit of
+all measured frequencies and shapes, each at its deviation, whether it has a weight or not.
 """
 
 from __future__ import annotations
@@ -14,20 +25,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
-from scipy.sparse.csgraph import connected_components
 
 from modetune.core.algebra.eigen import DENSE
+from modetune.core.correlation.pairing import Pairing
 from modetune.core.errors import ModelError, ModesError, SolverError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.updating.minima import (
+    RISE,
+    SAME,
+    Misfit,
+    MisfitAt,
+    beyond_saddle,
+    equal,
+    exchange,
+    exchanges,
+    joined,
+    minima_of,
+    polished,
+)
+from modetune.core.updating.parameter_steps import breach
 from modetune.core.updating.reduced_basis import unreduced
-from modetune.core.updating.trust import StartSpread
+from modetune.core.updating.responses.response import Residual, with_values
+from modetune.core.updating.trust import NEGLIGIBLE, StartSpread
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
+from modetune.flows.campaign.matrix_plan import unsuitable
+from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.loop import ITERATIONS, Foresight, Loop, Silent
+from modetune.flows.updating.loop import ITERATIONS, Foresight, Loop, Trial, Watcher
 from modetune.flows.updating.matrices import MatrixSource, one_thread
 from modetune.flows.updating.mode_source import (
     CAMPAIGNS_OWN,
@@ -36,108 +62,99 @@ from modetune.flows.updating.mode_source import (
     CaseState,
     ModeFinder,
 )
-from modetune.flows.updating.reduced_model import ByMatrices, ReducedModes
+from modetune.flows.updating.reduced_model import CONFIRMED, ByMatrices, ReducedModes
 from modetune.flows.updating.sensitivities import UnlikeMatrices
+from modetune.flows.updating.step import objective, objective_slopes
 
 logger = logging.getLogger(__name__)
 
-#: Standard errors by which two ends may differ and still be one place.
-SAME_ERRORS = 3.0
-#: ... and the least difference, relative to the deck, that makes two places.
-SAME_LEAST = 0.01
-#: An end whose misfit is no more than this times the answer's fits as well.
-AS_WELL = 1.1
-#: ... or that is above it by no more than noise leaves above in this share of all cases.
-LEVEL = 0.01
-#: Starts in all, the campaign's own among them.
+#: Starts, the campaign's own among them.
 TRIED = 12
-#: ... where fewer values are left to judge by than there are parameters: second answers that fit
-#: are common then, and one of a twelfth of the starts is found by 63 others in 99 % of all cases.
+#: ... where the test leaves fewer spare values than there are parameters: second minima are common
+#: then, and one with a twelfth of the starts is found by 63 others in 99 % of all cases.
 MANY = 64
+#: Ends whose curvature is computed.
+CURVED = 8
+#: Standard errors by which the ends of one minimum scatter; beyond, they are a valley.
+SCATTER = 3.0
+#: Elements of a model whose modes are the solver's own up to which matrices in the store serve for
+#: other starts: their factors take seconds and little memory.
+SMALL = 10_000
+#: Failures of a point that do not concern the campaign.
+FAILED = (SolverError, ModesError, ModelError)
+#: Kinds of response whose data `data_misfit` takes from the pairs.
+OF_PAIRS = ("frequencies", "shapes", "mac")
 
 
 @dataclass(frozen=True, slots=True)
 class StartEnd:
-    """How the update from one start ended.
+    """The end of a search.
 
-    updated: (n_parameters,), None where it failed; least: whether that is the least misfit; error:
-    that broke it off; record: None where it never got to one; by: what it was found by, where not
-    by the campaign's own modes.
+    start: (n_parameters,), NaN where it came from another end; updated: (n_parameters,), None where
+    it failed. misfit: the campaign's objective; data_misfit: of all measured data. agrees: whether
+    e1 holds; saddle: whether it is one, which other ends left. evaluation: on reduced models;
+    record: of an update by the solver.
     """
 
     start: Floats
     updated: Floats | None = None
     misfit: float = np.inf
-    status: str = ""
-    least: bool = False
-    error: SolverError | ModesError | None = None
+    data_misfit: float = np.inf
+    agrees: bool = False
+    outcome: str = ""
+    saddle: bool = False
+    error: SolverError | ModesError | ModelError | None = None
+    evaluation: Evaluation | None = None
     record: CampaignRecord | None = None
-    by: str = ""
 
     @property
-    def outcome(self) -> str:
-        if self.updated is None:
-            return f"failed: {str(self.error).splitlines()[0]}"
-        return f"{self.status} ({self.by})" if self.by else self.status
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Lowest first: those that meet e1, those that ended, by their misfit."""
-        if self.updated is None:
-            return 2, np.inf
-        return int(self.status != "converged"), self.misfit
-
-    def fits_as_well(self, answer: StartEnd) -> bool:
-        """Whether it fits the test as well as the answer."""
-        if self.updated is None or answer.updated is None:
-            return False
-        if self.least and answer.least:
-            noise = float(scipy.special.chdtri(self.updated.size, LEVEL))
-            return self.misfit <= max(AS_WELL * answer.misfit, answer.misfit + noise)
-        if self.rank[0] == 0 or answer.rank[0] == 0:
-            return self.rank[0] == answer.rank[0]
-        return self.misfit <= AS_WELL * answer.misfit
+    def place(self) -> Floats:
+        """The logarithms of its values."""
+        assert self.updated is not None
+        return np.asarray(np.log(self.updated))
 
 
-@dataclass(slots=True)
-class StartEnds:
-    """How the updates from several starts ended, the campaign's own first; more may join them.
-
-    tolerated: (n_parameters,), by how much values may differ in one place.
-    """
-
-    ends: list[StartEnd]
-    tolerated: Floats
-
-    @property
-    def updated(self) -> Floats:
-        """(n_starts, n_parameters), NaN where an update failed."""
-        none = np.full(self.tolerated.size, np.nan)
-        return np.array([none if end.updated is None else end.updated for end in self.ends])
-
-    def places(self, chosen: int = 0) -> Integers:
-        """Number of the place of each end, 0 being that of the chosen one; -1 where it failed."""
-        ranks = [end.rank for end in self.ends]
-        ended = np.flatnonzero([rank[0] < 2 for rank in ranks])
-        scaled = self.updated[ended] / self.tolerated
-        apart = np.abs(np.nan_to_num(scaled[:, None] - scaled)).max(axis=2)
-        _, labels = connected_components(apart <= 1.0, directed=False)
-        order = sorted(range(ended.size), key=lambda n: (ended[n] != chosen, ranks[int(ended[n])]))
-        names = {
-            label: number
-            for number, label in enumerate(dict.fromkeys(int(labels[place]) for place in order))
-        }
-        minima = np.full(len(ranks), -1, dtype=np.int64)
-        minima[ended] = [names[int(label)] for label in labels]
-        return minima
+def failed(start: Floats, error: SolverError | ModesError | ModelError) -> StartEnd:
+    """Return the end of a search that failed."""
+    return StartEnd(start, error=error, outcome=f"failed: {str(error).splitlines()[0]}")
 
 
-def end_of(start: Floats, record: CampaignRecord) -> StartEnd:
-    """The end of a start whose update has a record."""
-    least = record.trust is not None and record.trust.ended == "least misfit"
+def end_of(campaign: Campaign, start: Floats, record: CampaignRecord) -> StartEnd:
+    """Return the end of an update by its record, with the misfit of the minimum ahead, linear."""
+    best, slopes = record.best, _last_sensitivity(record)
+    here = objective(campaign, record.updated, best.residual, _factor(record))
+    if record.trust is not None and slopes.size:
+        ahead = with_values(best.residual, best.residual.values - slopes @ record.trust.remaining)
+        there = record.updated + record.trust.remaining
+        here = min(here, objective(campaign, there, ahead, _factor(record)))
     return StartEnd(
-        start, record.updated, record.best.residual.misfit, record.status, least, record=record
+        start,
+        record.updated,
+        here,
+        data_misfit(campaign, best.frequency_errors, best.pairing, best.residual),
+        record.status == "converged",
+        record.status,
+        record=record,
     )
+
+
+def data_misfit(campaign: Campaign, errors: Floats, pairing: Pairing, residual: Residual) -> float:
+    """Return the chi-square of all measured data of the pairs, each at its deviation.
+
+    errors: (n_pairs,), relative, of frequencies. A shape of n entries whose deviation is s
+    contributes n (1 - MAC) / s^2. Other responses contribute what is used of them.
+    """
+    test, measured = campaign.test.modes, pairing.measured
+    own = campaign.weighting.modes(measured)
+    total = float(np.sum((errors / own.frequency_deviations) ** 2))
+    mac = pairing.judged_mac
+    seen = np.isfinite(mac)
+    entries = np.count_nonzero(test.mode_shapes[:, measured[seen]], axis=0)
+    total += float(np.sum(entries * (1.0 - mac[seen]) / own.shape_deviations[seen] ** 2))
+    kinds = [np.full(block.size, block.kind in OF_PAIRS) for block in residual.blocks]
+    others = ~np.concatenate([np.zeros(0, dtype=bool), *kinds])
+    squares = residual.potential * residual.independent(residual.values) ** 2
+    return total + float(squares[others].sum())
 
 
 def drawn_starts(campaign: Campaign, n: int) -> Floats:
@@ -149,79 +166,319 @@ def drawn_starts(campaign: Campaign, n: int) -> Floats:
     return np.vstack([campaign.start, others])
 
 
-def chosen_end(ends: Sequence[StartEnd]) -> int:
-    """Which end is the answer. Raises the first start's error where all failed."""
-    chosen = min(range(len(ends)), key=lambda number: ends[number].rank)
-    if ends[chosen].updated is None:
+def best_end(ends: Sequence[StartEnd]) -> int:
+    """Return the position of the best end; the first one where it is as good.
+
+    Raises the first error where all failed.
+    """
+    lowest = min(end.misfit for end in ends)
+    if not np.isfinite(lowest):
         raise next(end.error for end in ends if end.error is not None)
-    return chosen
-
-
-def start_spread(campaign: Campaign, found: StartEnds, chosen: int) -> StartSpread:
-    """Where the updates ended, and what fits as well as the answer.
-
-    chosen: the end that is the answer, unless the campaign's own start led to the same place.
-    """
-    ends, updated, minima = found.ends, found.updated, found.places(chosen)
-    if minima[0] == 0 and ends[0].rank[0] == ends[chosen].rank[0]:
-        chosen = 0  # the same place: the campaign's own start leads there too
-    rivals, differ = [], set()
-    for number, end in enumerate(ends):
-        if minima[number] > 0 and end.fits_as_well(ends[chosen]):
-            rivals.append(int(minima[number]))
-            apart = np.abs(updated[number] - updated[chosen]) > found.tolerated
-            differ |= set(np.flatnonzero(apart).tolist())
-    return StartSpread(
-        starts=np.stack([end.start for end in ends]),
-        updated=updated,
-        misfits=np.array([np.nan if end.updated is None else end.misfit for end in ends]),
-        outcomes=tuple(end.outcome for end in ends),
-        minima=minima,
-        rivals=tuple(sorted(set(rivals))),
-        differ=tuple(campaign.parameters.names[place] for place in sorted(differ)),
-        chosen=chosen,
-        seed=campaign.update.seed,
-    )
-
-
-def tolerated(campaign: Campaign, answer: CampaignRecord) -> Floats:
-    """By how much parameters (n_parameters,) may differ in one place.
-
-    Where updating ended as soon as e1 was met, its ends scatter as if frequencies were measured as
-    loosely as e1 judges them.
-    """
-    loose = 1.0
-    if answer.trust is None or answer.trust.ended != "least misfit":
-        weighting, asked = campaign.weighting, campaign.tolerances.frequency
-        known = weighting.frequency_deviations[weighting.frequencies_used]
-        loose = asked / float(known.min(initial=asked))
-    errors = SAME_ERRORS * loose * answer.standard_errors
-    return np.asarray(np.fmax(SAME_LEAST, errors))
+    near = [n for n, end in enumerate(ends) if end.misfit <= lowest + RISE and not end.saddle]
+    agreeing = [n for n in near if ends[n].agrees] or near
+    least = min(ends[n].data_misfit for n in agreeing)
+    # A difference that reduced models do not resolve is none.
+    alike = [n for n in agreeing if ends[n].data_misfit <= least + 0.1 + 1e-3 * least]
+    return 0 if 0 in alike else min(alike, key=lambda n: ends[n].misfit)
 
 
 @dataclass(frozen=True, slots=True)
-class TriedStarts:
-    """What other starts led to; the first end is the campaign's own."""
+class FoundMinima:
+    """The ends of all searches and their minima.
+
+    The first `n_starts` ends are of the starts, the campaign's own first; others left a saddle or
+    are exchanges. labels: (n_ends,), numbers of minima by their misfit, -1 for none. moves: whether
+    the best end is not where the campaign's own update ended.
+    """
 
     campaign: Campaign
     ends: tuple[StartEnd, ...]
+    n_starts: int
+    labels: Integers
     chosen: int
+    moves: bool
 
     @property
     def better(self) -> Floats:
-        """The end of the chosen start, (n_parameters,)."""
+        """The best end, (n_parameters,)."""
         updated = self.ends[self.chosen].updated
         assert updated is not None
         return updated
 
     def spread(self, answer: CampaignRecord) -> StartSpread:
-        """Where they ended, answer being the record of what was chosen."""
-        ends = list(self.ends)
-        own = end_of(ends[self.chosen].start, answer)
-        ends[self.chosen] = replace(ends[self.chosen], updated=own.updated, misfit=own.misfit)
-        return start_spread(
-            self.campaign, StartEnds(ends, tolerated(self.campaign, answer)), self.chosen
+        """Return what the record of the answer keeps of them."""
+        ends, chosen, labels = list(self.ends), self.chosen, self.labels
+        names = np.array(self.campaign.parameters.names)
+        own = replace(ends[chosen], updated=answer.updated)
+        ends[chosen] = own
+        none = np.full(names.size, np.nan)
+        updated = np.array([none if end.updated is None else end.updated for end in ends])
+        # The answer's minimum is the first.
+        order = [labels[chosen], *(n for n in range(labels.max() + 1) if n != labels[chosen])]
+        minima = np.array([order.index(label) if label >= 0 else -1 for label in labels])
+        good = np.array([end.misfit <= own.misfit + RISE for end in ends])
+        errors = np.where(np.isfinite(answer.standard_errors), answer.standard_errors, 0.0)
+        apart = np.maximum(NEGLIGIBLE, SCATTER * errors)
+        valley = updated[good & (minima == 0)]
+        extent = np.vstack([valley.min(axis=0), valley.max(axis=0)])
+        rivals, exchanged, differ = [], [], np.zeros(names.size, dtype=bool)
+        for number in range(1, minima.max() + 1):
+            members = np.flatnonzero(good & (minima == number))
+            if members.size == 0:
+                continue
+            rivals.append(number)
+            there = ends[int(members[0])]
+            differ |= np.abs(updated[members[0]] - own.updated) > NEGLIGIBLE
+            if exchange(own.place, there.place) is not None and _alike(own, there):
+                exchanged.append(number)
+        return StartSpread(
+            starts=np.stack([end.start for end in ends]),
+            updated=updated,
+            misfits=np.array([end.misfit if end.updated is not None else np.nan for end in ends]),
+            outcomes=tuple(end.outcome for end in ends),
+            minima=minima.astype(np.int64),
+            rivals=tuple(rivals),
+            differ=tuple(names[differ].tolist()),
+            chosen=chosen,
+            seed=self.campaign.update.seed,
+            n_starts=self.n_starts,
+            exchanged=tuple(exchanged),
+            extent=extent,
+            valley=tuple(names[extent[1] - extent[0] > apart].tolist()),
         )
+
+
+def _alike(one: StartEnd, other: StartEnd) -> bool:
+    """Whether two misfits are equal as far as reduced models and updating resolve them."""
+    return abs(one.misfit - other.misfit) <= 0.1 + 1e-3 * one.misfit
+
+
+def minima_by_slopes(campaign: Campaign, ends: Sequence[StartEnd]) -> FoundMinima:
+    """Return the minima among updates by the solver, by what the sensitivities at two ends predict
+    of the misfit between them."""
+    chosen = best_end(ends)
+
+    def predicted(one: StartEnd, shares: Floats, way: Floats) -> Floats:
+        assert one.record is not None
+        found, slopes = one.record.best.residual, _last_sensitivity(one.record)
+        rows = found.independent(slopes) @ way
+        values = found.independent(found.values)[:, None] - rows[:, None] * shares
+        return np.asarray(found.weights @ values**2)
+
+    def one_minimum(first: int, second: int) -> bool:
+        a, b = ends[first], ends[second]
+        assert a.record is not None
+        assert b.record is not None
+        if _last_sensitivity(a.record).size == 0 or _last_sensitivity(b.record).size == 0:
+            return False
+        way, shares = b.record.updated - a.record.updated, np.linspace(0.0, 1.0, 11)
+        ahead, back = predicted(a, shares, way), predicted(b, 1.0 - shares, -way)
+        between = (1.0 - shares) * ahead + shares * back
+        return bool(between.max() <= max(between[0], between[-1]) + RISE)
+
+    places = [end.start if end.updated is None else end.place for end in ends]
+    labels = minima_of(places, np.array([end.misfit for end in ends]), one_minimum)
+    return FoundMinima(campaign, tuple(ends), len(ends), labels, chosen, chosen > 0)
+
+
+def _last_sensitivity(record: CampaignRecord) -> Floats:
+    """The newest sensitivity of a record, empty where it has none of the end's rows."""
+    size = record.best.residual.values.size
+    had = [item.sensitivity for item in record.iterations if len(item.sensitivity) == size]
+    return had[-1] if had and size else np.zeros((0, 0))
+
+
+def _factor(record: CampaignRecord) -> float:
+    """The regularisation of the last step."""
+    return record.best.regularisation
+
+
+class SurrogateMisfit(Misfit):
+    """The objective of a campaign on reduced models, over log parameters.
+
+    known: evaluations that modes are tracked from; the best pairs count.
+    """
+
+    def __init__(
+        self, campaign: Campaign, evaluator: Evaluator, factor: float, *known: Evaluation | None
+    ) -> None:
+        self.campaign, self.evaluator, self.factor, self.known = campaign, evaluator, factor, known
+        own = campaign.parameters
+        self.lower = np.log(np.maximum(own.lower, np.finfo(np.float64).tiny))
+        self.upper = np.log(own.upper)
+
+    def value(self, x: Floats) -> float:
+        values = (self._value(found) for found, _ in self._found(x, alone=True))
+        return min(values, default=np.inf)
+
+    def sample(self, x: Floats) -> MisfitAt | None:
+        found = self._found(x, alone=False)
+        if not found:
+            return None
+        best, matrix = min(found, key=lambda item: self._value(item[0]))
+        assert matrix is not None
+        gradient, curvature = objective_slopes(
+            self.campaign, best.theta, best.residual, matrix.values, self.factor
+        )
+        theta = best.theta
+        return MisfitAt(self._value(best), theta * gradient, theta[:, None] * curvature * theta)
+
+    def evaluation(self, x: Floats) -> Evaluation | None:
+        """Return the evaluation of the best pairs at a point."""
+        found = self._found(x, alone=True)
+        return min((item for item, _ in found), key=self._value) if found else None
+
+    def _value(self, found: Evaluation | None) -> float:
+        if found is None:
+            return np.inf
+        return objective(self.campaign, found.theta, found.residual, self.factor)
+
+    def _found(self, x: Floats, alone: bool) -> list[tuple[Evaluation, Matrix | None]]:
+        theta, found = np.exp(x), []
+        for before in self.known:
+            try:
+                found.append(self.evaluator.evaluate("starts", theta, before, alone))
+            except FAILED as error:
+                if isinstance(error, CAMPAIGNS_OWN):
+                    raise
+        return found
+
+
+class Lowest(Watcher):
+    """Keeps the evaluated point of a loop with the lowest objective."""
+
+    def __init__(self, misfit: SurrogateMisfit) -> None:
+        self.misfit = misfit
+        self.found: Evaluation | None = None
+
+    def noted(
+        self,
+        number: int,
+        evaluation: Evaluation,
+        trial: Trial | None,
+        newest: Matrix | None,
+        decision: str,
+        accepted: bool,
+        skipped: bool,
+    ) -> None:
+        of, broken = (
+            self.misfit._value,
+            breach(evaluation.residual.values, evaluation.residual.limits),
+        )
+        if not broken.any() and of(evaluation) < of(self.found):
+            self.found = evaluation
+
+
+class Search:
+    """Searches on one set of reduced models.
+
+    states: the cases on them; factor: the regularisation of the campaign's last step.
+    """
+
+    def __init__(
+        self, campaign: Campaign, states: Sequence[CaseState], like: Evaluator, factor: float
+    ) -> None:
+        cases = tuple(state.case for state in states)
+        update = campaign.update.model_copy(update={"max_iterations": ITERATIONS})
+        self.campaign = replace(campaign, update=update, cases=cases)
+        self.evaluator = Evaluator(self.campaign, states, like.execution)
+        self.factor = factor
+
+    def misfit(self, *known: Evaluation | None) -> SurrogateMisfit:
+        return SurrogateMisfit(self.campaign, self.evaluator, self.factor, *known)
+
+    def end(self, start: Floats, begin: Floats) -> StartEnd:
+        """Return the end of a search that begins at a point."""
+        inner = replace(self.campaign, begin=tuple(begin.tolist()))
+        lowest = Lowest(self.misfit(None))
+        try:
+            status = Loop(inner, self.evaluator, lowest, confirms=False).run().status
+        except FAILED as error:
+            if isinstance(error, CAMPAIGNS_OWN):
+                raise
+            if lowest.found is None:
+                return failed(start, error)
+            status = "lost a mode"
+        if lowest.found is None:
+            return failed(start, ModesError("no point keeps the limits of responses"))
+        return self.settled(start, lowest.found, f"{status} ({REDUCED})")
+
+    def settled(self, start: Floats, found: Evaluation, outcome: str) -> StartEnd:
+        """Return the polished end near an evaluation."""
+        # Without shapes modes may have been tracked to wrong pairs: pair them again as well.
+        misfit = self.misfit(found, *((None,) if not self.campaign.test.has_shapes else ()))
+        if not np.isfinite(found.residual.limits).any():
+            place, _ = polished(misfit, np.log(found.theta))
+            found = misfit.evaluation(place) or found
+        return StartEnd(
+            start,
+            found.theta,
+            misfit._value(found),
+            data_misfit(self.campaign, found.errors, found.pairing, found.residual),
+            found.agrees(self.campaign.tolerances),
+            outcome,
+            evaluation=found,
+        )
+
+    def beyond(self, end: StartEnd, places: Sequence[Floats]) -> list[StartEnd]:
+        """Return the ends of searches from points beside a saddle."""
+        found = []
+        for place in places:
+            there = self.end(np.full(place.size, np.nan), np.exp(place))
+            if there.misfit < end.misfit - 0.01 - 1e-4 * end.misfit:
+                found.append(replace(there, outcome=f"{there.outcome}, from a saddle"))
+        return found
+
+    def without_saddles(self, ends: Sequence[StartEnd]) -> list[StartEnd]:
+        """Return ends with those that lie beyond saddles among them.
+
+        High saddles are left only while no end meets e1; else what lies beyond is of no interest.
+        """
+        ends, curved = list(ends), list[StartEnd]()
+        lowest, agrees = min(end.misfit for end in ends), any(end.agrees for end in ends)
+        for number, end in enumerate(ends):  # grows
+            known = [item for item in curved if _near(item, end)]
+            if end.evaluation is None or np.isfinite(end.evaluation.residual.limits).any():
+                continue
+            if not known and len(curved) < CURVED:
+                places = beyond_saddle(self.misfit(end.evaluation), end.place)
+                matters = number == 0 or not agrees or end.misfit <= lowest + RISE
+                more = self.beyond(end, places) if matters else []
+                curved.append(replace(end, saddle=bool(more) or (bool(places) and not matters)))
+                known = curved[-1:]
+                ends += more
+            ends[number] = replace(end, saddle=bool(known) and known[0].saddle)
+        return ends
+
+    def with_exchanges(self, ends: Sequence[StartEnd]) -> list[StartEnd]:
+        """Return ends with the exchanges of the best one that no search found."""
+        ends = list(ends)
+        best = ends[best_end(ends)]
+        if best.evaluation is None:
+            return ends
+        known = []
+        for end in ends:
+            order = None if end.updated is None else exchange(best.place, end.place)
+            if order is not None and equal(best.misfit, end.misfit) and not _near(end, best):
+                known.append(order)
+        for place in exchanges(self.misfit(best.evaluation, None), best.place, known):
+            found = self.misfit(best.evaluation, None).evaluation(place)
+            if found is not None:
+                none = np.full(place.size, np.nan)
+                there = self.settled(none, found, "exchange of the best values")
+                if not any(_near(there, end) for end in ends):
+                    ends.append(there)
+        return ends
+
+    def one_minimum(self, one: StartEnd, other: StartEnd) -> bool:
+        """Return whether two ends belong to one minimum."""
+        return joined(self.misfit(one.evaluation, other.evaluation), one.place, other.place)
+
+
+def _near(one: StartEnd, other: StartEnd) -> bool:
+    if one.updated is None or other.updated is None:
+        return False
+    return float(np.abs(one.place - other.place).max()) <= SAME
 
 
 class OtherStarts:
@@ -233,133 +490,173 @@ class OtherStarts:
         self.campaign = campaign
         self.evaluator = evaluator
         self.foresight = foresight
-        #: The cases on the newest reduced models, and where these led so far, by start.
+        #: The reduced models of the ends below, by start.
         self._states: list[CaseState] = []
-        self._known: dict[bytes, StartEnd] = {}
+        self._ends: dict[bytes, StartEnd] = {}
 
     def seek(self, record: CampaignRecord) -> None:
-        """What `tried` will want of reduced models that are there, before the solver has confirmed
-        where the update ended."""
+        """Search ahead on reduced models while the solver confirms where the update ended."""
         states = [] if self.foresight is None else self.foresight.states
-        if states and self._wanted(record):
-            self._ends_on(states, record)
+        if states and self._wanted:
+            with one_thread():
+                self._from_starts(self._search(states, record), states, record)
 
-    def tried(self, record: CampaignRecord, last: Evaluation) -> TriedStarts | None:
-        """Seek the parameters from other starts after an update has ended.
+    def tried(self, record: CampaignRecord, last: Evaluation) -> FoundMinima | None:
+        """Return the minima after an update has ended; None where they are not sought.
 
-        record: of the update; last: the evaluation it ended on. None where sets cost too much, the
-        iterations are used up, or the campaign asks for one start alone.
+        record: of the update; last: its end.
         """
-        if not self._wanted(record):
+        if not self._wanted:
             return None
-        asked = self.campaign.update.starts
-        states = self._reduced_states(last) if self.evaluator.sets_cost_little else []
+        states = self._reduced_states(last)
         if not states:
             return None
-        found = self._ends_on(states, record)
-        ends = found.ends
-        if asked:
-            ends[:] = [
-                self._updated(self.evaluator, end.start, end.start) if end.updated is None else end
-                for end in ends
-            ]
-        for place in _worth_a_look(found, every=asked is not None):
-            members = [n for n, at in enumerate(found.places()) if at == place]
-            best = min(members, key=lambda n: ends[n].rank)
-            looked = self._looked_at(ends[best], found, last)
-            for n in members:
-                ends[n] = replace(looked, start=ends[n].start)
-        chosen = min(range(len(ends)), key=lambda n: ends[n].rank)
-        if ends[0].fits_as_well(ends[chosen]):
-            chosen = 0
-        return TriedStarts(self.campaign, tuple(ends), chosen)
-
-    def _wanted(self, record: CampaignRecord) -> bool:
-        update = self.campaign.update
-        ended = record.status != "max_iterations" and update.max_iterations > 0
-        return update.starts != 1 and bool(ended or update.starts)
-
-    def _ends_on(self, states: list[CaseState], record: CampaignRecord) -> StartEnds:
-        """The campaign's own end and where reduced models lead from others."""
-        if self._states is not states:
-            self._states, self._known = states, {}
-        campaign, asked = self.campaign, self.campaign.update.starts
-        scarce = record.trust is None or record.trust.freedom < len(campaign.parameters)
-        starts = drawn_starts(campaign, asked or (MANY if scarce else TRIED))
-        found = StartEnds([end_of(starts[0], record)], tolerated(campaign, record))
-        inner = self._on(states)
+        search = self._search(states, record)
         with one_thread():
-            for start in starts[1:]:
-                mark = start.tobytes()
-                if mark not in self._known:
-                    self._known[mark] = self._updated(inner, start, start, REDUCED)
-                found.ends.append(self._known[mark])
-                if not asked and len(found.ends) >= TRIED and _worth_a_look(found):
-                    break
-        return found
+            own = self._own(search, record, last)
+            if own is None:
+                return None
+            ends = self._ended(search, states, record, own)
+            n_starts = len(ends)
+            ends = search.with_exchanges(search.without_saddles(ends))
+            searches = [search] * len(ends)
+            labels = self._labels(ends, searches)
+        exact = all(isinstance(item.finder, ReducedModes) and item.finder.exact for item in states)
+        if not exact and self._looked(ends, searches, labels, last):
+            with one_thread():
+                labels = self._labels(ends, searches)
+        chosen, converged = best_end(ends), record.status == "converged"
+        if converged and labels[chosen] == labels[0]:
+            chosen = 0  # good enough: the way to the minimum is reported
+        here = objective(self.campaign, last.theta, last.residual, _factor(record))
+        moves = chosen > 0 or (not converged and here > own.misfit + RISE)
+        return FoundMinima(self.campaign, tuple(ends), n_starts, labels, chosen, moves)
+
+    @property
+    def _wanted(self) -> bool:
+        update = self.campaign.update
+        return update.starts != 1 and update.max_iterations > 0 and not self.campaign.fields
+
+    def _search(self, states: list[CaseState], record: CampaignRecord) -> Search:
+        return Search(self.campaign, states, self.evaluator, _factor(record))
+
+    def _own(self, search: Search, record: CampaignRecord, last: Evaluation) -> StartEnd | None:
+        """Return the campaign's own end, polished; None where the models differ from its modes."""
+        found = search.misfit(last).evaluation(np.log(last.theta))
+        if found is None or float(np.max(np.abs(found.errors - last.errors))) > CONFIRMED:
+            logger.info("no other starts are tried: matrices differ from the solver's model")
+            return None
+        return search.settled(self.campaign.start, found, record.status)
+
+    def _ended(
+        self, search: Search, states: list[CaseState], record: CampaignRecord, own: StartEnd
+    ) -> list[StartEnd]:
+        """Return the ends of all starts, the campaign's own first."""
+        ends = [own, *self._from_starts(search, states, record)]
+        if len(ends) == self._number(record):
+            return ends
+        lowest = min(end.misfit for end in ends)
+        others = [end for end in ends if end.misfit <= lowest + RISE and not _near(end, own)]
+        if all(search.one_minimum(own, end) for end in others):
+            ends = [own, *self._from_starts(search, states, record, every=True)]
+        return ends
+
+    def _number(self, record: CampaignRecord) -> int:
+        """The number of starts."""
+        scarce = record.trust is None or record.trust.freedom < len(self.campaign.parameters)
+        return self.campaign.update.starts or (MANY if scarce else TRIED)
+
+    def _from_starts(
+        self, search: Search, states: list[CaseState], record: CampaignRecord, every: bool = False
+    ) -> list[StartEnd]:
+        """Return the ends of the starts besides the campaign's own, at first of few, each once."""
+        if self._states is not states:
+            self._states, self._ends = states, {}
+        n = self._number(record)
+        few = n if every or self.campaign.update.starts else min(n, TRIED)
+        starts = drawn_starts(self.campaign, n)[1:few]
+        for start in starts:
+            if start.tobytes() not in self._ends:
+                self._ends[start.tobytes()] = search.end(start, start)
+        return [self._ends[start.tobytes()] for start in starts]
+
+    def _labels(self, ends: Sequence[StartEnd], searches: Sequence[Search]) -> Integers:
+        """Return the number of each end's minimum."""
+
+        def one_minimum(first: int, second: int) -> bool:
+            return searches[max(first, second)].one_minimum(ends[first], ends[second])
+
+        places = [end.start if end.updated is None else end.place for end in ends]
+        values = np.array([np.inf if end.saddle else end.misfit for end in ends])
+        return minima_of(places, values, one_minimum)
+
+    def _looked(
+        self, ends: list[StartEnd], searches: list[Search], labels: Integers, last: Evaluation
+    ) -> bool:
+        """Search again, by models made there, at other minima that fit as well or better.
+
+        Returns whether there were any.
+        """
+        any_looked = False
+        for number in range(labels.max() + 1):
+            members = [n for n in np.flatnonzero(labels == number).tolist()]
+            best = min(members, key=lambda n: ends[n].misfit)
+            if number == labels[0] or ends[best].misfit > ends[0].misfit + RISE:
+                continue
+            any_looked = True
+            begin = ends[best].updated
+            assert begin is not None
+            try:
+                there = _in_full(self.evaluator, begin, last)
+                states = _reduced_around(self.evaluator, there)
+            except FAILED as error:
+                if isinstance(error, CAMPAIGNS_OWN):
+                    raise
+                states = []
+            for n in members if not states else ():
+                ends[n] = replace(ends[n], misfit=np.inf, outcome="not confirmed by all unknowns")
+            if states:
+                search = Search(self.campaign, states, self.evaluator, searches[best].factor)
+                with one_thread():
+                    looked = search.end(ends[best].start, begin)
+                for n in members:
+                    ends[n] = replace(looked, start=ends[n].start)
+                    searches[n] = search
+        return any_looked
 
     def _reduced_states(self, last: Evaluation) -> list[CaseState]:
         """The cases on models of a few unknowns; none where one of them has no such model.
 
         Matrices are solved whole where they are few, else reduced around an evaluation; where modes
-        come from stored matrices the newest reduced models are at hand, once a step was taken. For
-        starts that were asked for they are made where they are not.
+        come from stored matrices the newest reduced models are at hand, once a step was taken.
         """
         foresight = self.foresight
         if foresight is None:
-            return _reduced_around(self.evaluator, last)
+            served = all(_served(state) for state in self.evaluator.used)
+            return _reduced_around(self.evaluator, last) if served else []
         if foresight.states or not self.campaign.update.starts:
             return foresight.states
         # The solver's own, which confirmed it, have no more modes than are compared.
         return _reduced_around(self.evaluator, _in_full(self.evaluator, last.theta, last))
 
-    def _looked_at(self, found: StartEnd, beside: StartEnds, known: Evaluation) -> StartEnd:
-        """Where updating ends from what reduced models around the answer found elsewhere."""
-        assert found.updated is not None
-        begin = found.updated
-        if self.foresight is not None:
-            try:
-                there = _in_full(self.evaluator, begin, known)
-                states = _reduced_around(self.evaluator, there)
-            except (SolverError, ModesError) as error:
-                if isinstance(error, CAMPAIGNS_OWN):
-                    raise
-                states = []
-            if states:
-                with one_thread():
-                    end = self._updated(self._on(states), found.start, begin, REDUCED)
-                    begin = begin if end.updated is None else end.updated
-                    end = self._updated(self._on(self._states), found.start, begin, REDUCED)
-                if StartEnds([beside.ends[0], end], beside.tolerated).places()[1] == 0:
-                    return end
-        return self._updated(self.evaluator, found.start, begin)
 
-    def _on(self, states: list[CaseState]) -> Evaluator:
-        """What evaluates sets on reduced models."""
-        return Evaluator(self.campaign, states, self.evaluator.execution)
-
-    def _updated(
-        self, evaluator: Evaluator, start: Floats, begin: Floats, by: str = ""
-    ) -> StartEnd:
-        """Where updating ends from a set."""
-        update = self.campaign.update
-        foresight = self.foresight if evaluator is self.evaluator else None
-        if by:
-            update = update.model_copy(update={"max_iterations": ITERATIONS})
-        inner = replace(self.campaign, begin=tuple(begin.tolist()), update=update)
-        try:
-            end = Loop(inner, evaluator, Silent(), confirms=False, foresight=foresight).run()
-        except (SolverError, ModesError) as error:
-            if isinstance(error, CAMPAIGNS_OWN):
-                raise
-            return StartEnd(start, error=error)
-        least = end.status in ("converged", "stationary")
-        misfit = end.last.residual.misfit
-        return StartEnd(start, end.last.theta, misfit, end.status, least, by=by)
+def _served(state: CaseState) -> bool:
+    """Whether a case's matrices are there for all values, so that no solver run is needed."""
+    finder, solver = state.finder, state.case.solver
+    if not isinstance(finder, BySolver) or solver.deck.summary.matrices is not None:
+        return True
+    parameters = state.campaign.parameters
+    every, method = range(len(parameters)), state.campaign.sensitivity.method
+    return (
+        solver.deck.summary.n_elements <= SMALL
+        and unsuitable(solver, parameters.parameters, method) is None
+        and finder.source.everywhere
+        and not finder.source.jobs(state.campaign.start, every)
+    )
 
 
 def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluation:
-    """A set by the campaign's own modes. Raises what keeps it from having any."""
+    """A point by the campaign's own modes. Raises what keeps it from having any."""
     (found,) = evaluator.points("starts", theta[None], [known])
     if not isinstance(found, Evaluation):
         raise found
@@ -393,21 +690,10 @@ def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
         return finder.around(part, state.analysis)
     modes = part.modal.modes
     seen = state.case.solver.deck.observation(given.base, modes.nodes, modes.components)
-    return ReducedModes(unreduced(given, _shift(part), seen.matrix), part, part.key)
+    whole = unreduced(given, _shift(part), seen.matrix)
+    return ReducedModes(whole, part, part.key, exact=True)
 
 
 def _shift(part: CaseEvaluation) -> float:
     """Below the spectrum by a tenth of the first elastic eigenvalue, (rad/s)^2."""
     return -0.1 * float(part.modal.eigenvalues[part.modal.n_rigid])
-
-
-def _worth_a_look(found: StartEnds, every: bool = False) -> list[int]:
-    """Return places other than the update's that seem to fit as well or better, or all."""
-    own = found.ends[0]
-    return sorted(
-        {
-            at
-            for end, at in zip(found.ends, found.places(), strict=True)
-            if at > 0 and (every or end.fits_as_well(own) or end.rank < own.rank)
-        }
-    )

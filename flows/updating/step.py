@@ -53,6 +53,45 @@ def used_weights(campaign: Campaign, found: Residual) -> Floats:
     return np.asarray(used / np.mean(found.variances[used]))
 
 
+def objective(campaign: Campaign, theta: Floats, found: Residual, regularisation: float) -> float:
+    """Return what updating minimises at a point, comparable between distant points.
+
+    theta: (n_parameters,); found: the residual there; regularisation: as in `prior_weights`.
+    """
+    weights, values = found.potential, found.independent(found.values)
+    if campaign.update.step in ("pseudo_inverse", "minimum_norm"):
+        used = found.weights > 0.0
+        weights = used / np.mean(found.noise[used])
+    prior, offset = prior_weights(campaign, theta, regularisation), _offset(campaign, theta)
+    pull = 0.0 if prior is None else float(offset @ _times(prior, offset))
+    return float(values @ (weights * values)) + pull
+
+
+def objective_slopes(
+    campaign: Campaign, theta: Floats, found: Residual, slopes: Floats, regularisation: float
+) -> tuple[Floats, Floats]:
+    """Return the gradient (n_parameters,) of `objective` and its Gauss-Newton matrix.
+
+    slopes: (n_residuals, n_parameters), the sensitivity by items.
+    """
+    weights, rows = used_weights(campaign, found), found.independent(slopes)
+    gradient = -2.0 * rows.T @ (weights * found.independent(found.values))
+    curvature = 2.0 * rows.T @ (weights[:, None] * rows)
+    prior = prior_weights(campaign, theta, regularisation)
+    if prior is not None:
+        gradient = gradient + 2.0 * _times(prior, _offset(campaign, theta))
+        curvature = curvature + 2.0 * (np.diag(prior) if prior.ndim == 1 else prior)
+    return gradient, curvature
+
+
+def _offset(campaign: Campaign, theta: Floats) -> Floats:
+    return np.asarray(theta - campaign.parameters.initial)
+
+
+def _times(prior: Floats, offset: Floats) -> Floats:
+    return np.asarray(prior * offset if prior.ndim == 1 else prior @ offset)
+
+
 def prior_weights(campaign: Campaign, theta: Floats, regularisation: float) -> Floats | None:
     """The weights of the initial values in what the step brings down, or None: (n_parameters,), or
     (n_parameters, n_parameters) where there are fields.

@@ -8,11 +8,10 @@ job, and an updating that ended without e1 is not pushed further night after nig
 Updating from several starts shows whether the answer depends on the start. The campaign's own start
 comes first, the others are a Latin hypercube within the bounds: each has its own stratum in every
 parameter. All updates share one store and one engine and run in parallel. The best end is the
-campaign's answer. Ends within e1 and the measurements' deviations are one place; another place that
-fits as well is a rival. Each update's record stays in the run folder as starts/NN.h5. The
-campaign's own record goes from its initial model straight to the best start and on along that
-update, with all results in the store. Where evaluations are cheap all of this happens within one
-update (`starts.py`).
+campaign's answer; `starts.py` separates the local minima. Each update's record stays in the run
+folder as starts/NN.h5. The campaign's own record goes from its initial model straight to the best
+start and on along that update, with all results in the store. Where matrices serve, all searches
+run on reduced models within one update.
 """
 
 from __future__ import annotations
@@ -78,15 +77,13 @@ from modetune.flows.updating.record import (
 from modetune.flows.updating.reduced_model import ByMatrices, finder_of
 from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starts import (
+    FoundMinima,
     OtherStarts,
     StartEnd,
-    StartEnds,
-    TriedStarts,
-    chosen_end,
     drawn_starts,
     end_of,
-    start_spread,
-    tolerated,
+    failed,
+    minima_by_slopes,
 )
 
 logger = logging.getLogger(__name__)
@@ -291,7 +288,7 @@ class Updating:
         end = Loop(campaign, evaluator, self, around=self.around, foresight=self.foresight).run()
         evaluator.idle, self.matrix = idle, end.matrix
         tried = others.tried(self._record(end.status, end.reason), end.last)
-        if tried is not None and tried.chosen:
+        if tried is not None and tried.moves:
             end = self._from(tried)
         held = held_out(self.evaluator, self.kept[0], self.kept[-1])
         record = checked(replace(self._record(end.status, end.reason), held_out=held))
@@ -304,15 +301,15 @@ class Updating:
         self.save(record)
         return record
 
-    def _from(self, tried: TriedStarts) -> End:
-        """Continue from the better end of another start."""
+    def _from(self, tried: FoundMinima) -> End:
+        """Continue from the best end."""
         campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
         title, number = "another start fits better", self.iterations[-1].number + 1
         end = Loop(
             campaign, self.evaluator, self, first=number, title=title, foresight=self.foresight
         ).run()
         self.matrix = end.matrix
-        return replace(end, reason=f"{end.reason}; the best of {len(tried.ends)} starts")
+        return replace(end, reason=f"{end.reason}; the best of {tried.n_starts} starts")
 
     def working(self, text: str) -> None:
         self.progress.working(text)
@@ -515,10 +512,10 @@ def update_from_starts(
     for number, end in enumerate(ends):
         if end.record is not None:
             write_record(folder / "starts" / f"{number:02d}.h5", end.record)
-    chosen = chosen_end(ends)
-    answer = ends[chosen].record
+    found = minima_by_slopes(own, ends)
+    answer = ends[found.chosen].record
     assert answer is not None
-    spread = start_spread(own, StartEnds(ends, tolerated(own, answer)), chosen)
+    spread = found.spread(answer)
     settings = own.update.model_copy(update={"start": "deck", "starts": 1})
     best = replace(
         own,
@@ -546,7 +543,15 @@ def _run_starts(
 ) -> list[StartEnd]:
     """Updates from all starts, side by side. Raises what is not a start's own failure."""
     beside = min(campaign.parallel, len(starts))
-    progress.working(f"updates from {len(starts)} starts")
+    jobs = {
+        job.identity
+        for work in evaluator_of(campaign, engine).planned(campaign.start)
+        for job in work.jobs
+    }
+    progress.working(
+        f"updates from {len(starts)} starts, each of at most {campaign.update.max_iterations} "
+        f"iterations of up to {len(jobs)} solver runs"
+    )
     with ThreadPoolExecutor(beside, thread_name_prefix="modetune-start") as pool:
         try:
             futures = [
@@ -577,13 +582,14 @@ def _run_start(campaign: Campaign, engine: JobEngine, start: Floats) -> StartEnd
             first = evaluator_of(campaign, engine)
             around = first.evaluate(0, campaign.start, None, alone=True)[0]
         evaluator = evaluator_of(own, engine)
-        return end_of(start, Updating(own, evaluator, Unwatched(), records.append, around).run())
+        run = Updating(own, evaluator, Unwatched(), records.append, around).run()
+        return end_of(own, start, run)
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN):
             engine.cancelled.set()
             raise
         logger.warning("an update from another start failed: %s", error)
-        return StartEnd(start, error=error, record=records[-1] if records else None)
+        return replace(failed(start, error), record=records[-1] if records else None)
 
 
 def _paired_once(campaign: Campaign) -> bool:

@@ -15,7 +15,8 @@ def test_a_structure_is_its_family_and_seed(family: str) -> None:
     assert str(one) == str(again)
     assert str(one.deck) != str(other.deck)
     assert one.parameters
-    assert len(set(one.sensors)) == len(one.sensors) >= 5
+    fewest = 5 if one.with_shapes else 1
+    assert len(set(one.sensors)) == len(one.sensors) >= fewest
 
 
 @pytest.mark.parametrize(
@@ -42,6 +43,16 @@ def test_the_truth_of_a_sound_twin_is_found(family: str, kind: Kind) -> None:
     assert outcome.right, outcome
 
 
+@pytest.mark.parametrize(
+    "family", ["sectors", "mirrored_beam", "soil_building", "series_springs", "far_frame"]
+)
+def test_the_truth_is_the_answer_or_listed_where_there_are_several(family: str) -> None:
+    outcome = update_twin(family, 1, "exact")
+    assert outcome.ended == "ended", outcome.said
+    assert outcome.listed, outcome
+    assert outcome.right, outcome
+
+
 @pytest.mark.parametrize("kind", ["reversed", "other"])
 def test_a_fault_of_test_or_model_is_not_trusted_away_from_the_truth(kind: Kind) -> None:
     outcome = update_twin("chain", 2, kind)
@@ -52,7 +63,7 @@ def test_a_fault_of_test_or_model_is_not_trusted_away_from_the_truth(kind: Kind)
 
 def test_the_table_counts_how_updates_ended() -> None:
     outcomes = [
-        Outcome("chain", 1, "exact", found=True, trusted=True, ended="ended"),
+        Outcome("chain", 1, "exact", found=True, trusted=True, ended="ended", listed=True),
         Outcome("chain", 2, "exact", trusted=True, accused=True, ended="ended"),
         Outcome("chain", 3, "other", accused=True, ended="ended"),
         Outcome("chain", 3, "exact", ended="lost"),
@@ -60,8 +71,8 @@ def test_the_table_counts_how_updates_ended() -> None:
     ]
     lines = [line.split() for line in table(outcomes).splitlines()[1:]]
     assert lines == [
-        ["chain", "5", "1", "2", "1", "1", "1", "0", "1"],
-        ["exact", "4", "1", "1", "1", "1", "1", "0", "1"],
-        ["other", "1", "0", "1", "0", "0", "0", "0", "0"],
-        ["all", "5", "1", "2", "1", "1", "1", "0", "1"],
+        ["chain", "5", "1", "1", "2", "1", "1", "1", "0", "1"],
+        ["exact", "4", "1", "1", "1", "1", "1", "1", "0", "1"],
+        ["other", "1", "0", "0", "1", "0", "0", "0", "0", "0"],
+        ["all", "5", "1", "1", "2", "1", "1", "1", "0", "1"],
     ]

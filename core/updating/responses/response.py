@@ -151,6 +151,20 @@ class Residual:
         return float(values @ (self.weights * values))
 
     @property
+    def potential(self) -> Floats:
+        """Weights (n_residuals,) whose sum of squares has the stationary points of updating.
+
+        The variance n of a measurement grows by that of the linear model to n (1 + r^2), with r
+        proportional to the squared length of its item, so weights change with the parameters. Steps
+        hold them and so minimise the sum of z^2 / n * atan(r) / r, whose derivative by z is 2 z / n
+        / (1 + r^2). Values of it at distant points compare, those of `misfit` do not.
+        """
+        r = np.sqrt(np.maximum(self.variances / self.noise - 1.0, 0.0))
+        near = r < 1e-4
+        ratio = np.where(near, 1.0, np.arctan(r) / np.where(near, 1.0, r))
+        return np.asarray(self.weights * self.variances / self.noise * ratio)
+
+    @property
     def n_independent(self) -> int:
         """Number of used values; a scaled item has one fewer than its entries."""
         used = self.weights > 0.0

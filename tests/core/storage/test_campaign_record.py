@@ -26,8 +26,12 @@ from modetune.core.storage.campaign_record import (
     read_record,
     write_record,
 )
+from modetune.core.storage.codec import write_value
+from modetune.core.storage.sealed_file import sealed
 from modetune.core.surface import Surface
+from modetune.core.updating.identifiability import identifiability
 from modetune.core.updating.responses.response import residual_of
+from modetune.core.updating.trust import StartSpread, Trust
 from tests.core.storage.test_sealed_file import refused_when_damaged, resealed
 from tests.node_sensors import by_number
 
@@ -188,6 +192,38 @@ def test_a_record_of_another_format_is_told_with_the_remedy(file: Path) -> None:
     said = rf"record 9, .* reads format {CAMPAIGN.format}; use the version that"
     with pytest.raises(CampaignError, match=said):
         read_record(file)
+
+
+def test_a_record_of_format_7_is_read_with_what_it_had(tmp_path: Path) -> None:
+    ends = np.array([[1.1, 0.9], [1.1, 0.9], [0.9, 1.1]])
+    spread = StartSpread(
+        starts=np.ones((3, 2)),
+        updated=ends,
+        misfits=np.ones(3),
+        outcomes=("a", "b", "c"),
+        minima=np.array([0, 0, 1]),
+        rivals=(1,),
+        differ=(),
+        chosen=0,
+        seed=0,
+        n_starts=3,
+        exchanged=(),
+        extent=ends[[0, 0]],
+        valley=(),
+    )
+    values = identifiability(np.eye(2), np.ones(2), np.ones(2), np.ones(2))
+    trust = Trust((), values, True, np.zeros(2), 1, (), spread=spread)
+
+    def older(file: h5py.File) -> None:
+        write_value(file, replace(record(), trust=trust))
+        del file["trust/spread"].attrs["n_starts"]
+        for name in ("exchanged", "extent", "valley"):
+            del file["trust/spread"][name]
+
+    (tmp_path / "campaign.h5").write_bytes(sealed(f"{CAMPAIGN.title}7", older))
+    found = CAMPAIGN.read(tmp_path / "campaign.h5")
+    assert found.trust is not None
+    assert repr(found.trust.spread) == repr(spread)
 
 
 def cut(file: Path) -> None:

@@ -49,14 +49,23 @@ def trust(
     judged = judge_parameters(parameters, values, np.ones(n), standard, found, missing)
     left = np.array(remaining) if remaining else np.zeros(n)
     unseen = combination_sentences(parameters.names, found)
-    return Trust(judged, found, agrees, left, freedom, unseen)
+    same = spread(n, (), ())
+    return Trust(judged, found, agrees, left, freedom, unseen, spread=same)
 
 
 def flags(found: Trust) -> list[tuple[str, ...]]:
     return [item.flags for item in found.parameters]
 
 
-def spread(n: int, rivals: tuple[int, ...], differ: tuple[str, ...]) -> StartSpread:
+def spread(
+    n: int,
+    rivals: tuple[int, ...],
+    differ: tuple[str, ...],
+    valley: tuple[str, ...] = (),
+    exchanged: tuple[int, ...] = (),
+) -> StartSpread:
+    """Of three starts two ended, at a rival where there is one; the third failed."""
+    names = list("abcdefghijkl"[:n])
     return StartSpread(
         np.ones((3, n)),
         np.array([np.full(n, value) for value in (1.0, 2.0, np.nan)]),
@@ -67,6 +76,10 @@ def spread(n: int, rivals: tuple[int, ...], differ: tuple[str, ...]) -> StartSpr
         differ,
         0,
         4,
+        n_starts=3,
+        exchanged=exchanged,
+        extent=np.array([np.ones(n), np.ones(n) + 0.5 * np.isin(names, valley)]),
+        valley=valley,
     )
 
 
@@ -81,6 +94,7 @@ def test_nothing_is_flagged_where_everything_is_told() -> None:
     assert trust_sentences(found) == (
         "The parameters are trusted: none in doubt. The test tells all 4 parameters.",
         "Updating ended at the least misfit.",
+        "Of 3 starting points 2 converged to the reported solution, 1 failed.",
     )
     assert found.parameters[0].sentence == "a is told by the test (100 %), to ±0.1 %."
 
@@ -281,7 +295,7 @@ def test_a_way_that_is_small_beside_the_error_is_the_least_misfit() -> None:
 
 
 def test_nothing_is_trusted_by_itself_where_no_degree_of_freedom_is_left() -> None:
-    found = trust(WELL_POSED, [1.1] * 4, freedom=0)
+    found = replace(trust(WELL_POSED, [1.1] * 4, freedom=0), spread=None)
     assert found.verdict == "not to be trusted"
     assert "no degree of freedom is left" in trust_sentences(found)[0]
     # Other starts that end at the same values speak for it, those with a rival against.
@@ -293,16 +307,20 @@ def test_other_starts_that_fit_as_well_take_the_trust_away() -> None:
     found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (1,), ("b",)))
     assert flags(found) == [(), ("starts",), (), ()]
     assert found.verdict == "not to be trusted"
-    assert "2 of 3 starts ended, in 2 places: 1 at the answer" in trust_sentences(found)[2]
+    said = trust_sentences(found)[2]
+    assert said == (
+        "Of 3 starting points 1 converged to the reported solution, 1 to other minima, 1 failed."
+    )
     assert trust_sentences(found)[3] == (
-        "Another set fits as well: a 2, b 2, c 2, d 2; the answer is a 1.1, b 1.1, c 1.1, d 1.1."
+        "Other values fit as well: a 2, b 2, c 2, d 2; the answer is a 1.1, b 1.1, c 1.1, d 1.1."
     )
 
 
 def test_other_starts_that_end_at_the_same_values_confirm_the_answer() -> None:
     found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (), ()))
     assert found.verdict == "trusted"
-    assert trust_sentences(found)[2] == "2 of 3 starts ended at the same values."
+    said = "Of 3 starting points 2 converged to the reported solution, 1 failed."
+    assert trust_sentences(found)[2] == said
 
 
 def test_what_was_flagged_already_is_no_news_from_other_starts() -> None:
@@ -311,6 +329,57 @@ def test_what_was_flagged_already_is_no_news_from_other_starts() -> None:
     found = with_spread(trust(s, [1.1, 1.0, 1.1, 1.1]), spread(4, (1,), ("b",)))
     assert flags(found)[1] == ("unseen", "starts")
     assert found.verdict == "trusted with reservations"
+
+
+def test_what_was_not_tested_for_other_minima_is_not_trusted_without_reservations() -> None:
+    found = replace(trust(WELL_POSED, [1.1] * 4), spread=None)
+    assert found.verdict == "trusted with reservations"
+    assert "uniqueness not tested" in trust_sentences(found)[0]
+    assert trust_sentences(found)[2].startswith("Uniqueness not tested: ")
+    assert "not tested" not in "".join(trust_sentences(trust(WELL_POSED, [1.1] * 4)))
+
+
+@pytest.mark.parametrize("times_noise", [0.0, 2.0, 5.0])
+def test_other_values_never_fit_as_well_where_nothing_explains_the_test(times_noise: float) -> None:
+    unexplained = "No admissible parameter set removes the residual."
+    found = trust(WELL_POSED, [1.1] * 4)
+    if times_noise:
+        found = replace(with_concerns(found, unexplained), times_noise=times_noise)
+    found = with_spread(found, spread(4, (1,), ("b",)))
+    said = " ".join(trust_sentences(found))
+    assert ("fit as well" in said) is not (unexplained in said)
+    assert found.fit_as_well == (() if times_noise else (1,))
+    assert found.verdict == "not to be trusted"
+
+
+def test_a_valley_is_reported_with_its_extent_and_doubts_the_parameter() -> None:
+    found = with_spread(trust(WELL_POSED, [1.1] * 4), spread(4, (), (), valley=("c",)))
+    assert flags(found) == [(), (), ("starts",), ()]
+    assert found.verdict == "not to be trusted"
+    said = "Along a valley the misfit rises by no more than noise: c 1 to 1.5."
+    assert said in trust_sentences(found)
+    assert found.parameters[2].sentence == "c may be anywhere from 1 to 1.5, along a valley."
+    # What is in doubt by its sensitivity is no news.
+    s = np.diag([500.0, 500.0, 0.0, 500.0])
+    unseen = with_spread(trust(s, [1.1] * 4), spread(4, (), (), valley=("c",)))
+    assert "starts" not in flags(unseen)[2]
+
+
+def test_exchanges_of_the_answer_are_one_sentence_with_their_number() -> None:
+    found = trust(WELL_POSED, [1.0, 2.0, 1.1, 1.1])
+    own = np.array([item.updated for item in found.parameters])
+    orders = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 0, 3]])
+    three = replace(
+        spread(4, (1, 2), ("a", "b", "c"), exchanged=(1, 2)),
+        updated=own[orders],
+        misfits=np.ones(3),
+        minima=np.arange(3),
+    )
+    said = [text for text in trust_sentences(with_spread(found, three)) if "exchange" in text]
+    assert said == [
+        "2 more minima, exchanges of the values of a, b and c, fit as well, such as a 2, b 1, "
+        "c 1.1, d 1.1; the answer is a 1, b 2, c 1.1, d 1.1."
+    ]
 
 
 @pytest.mark.parametrize("whole", [True, False])

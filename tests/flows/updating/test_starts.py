@@ -88,7 +88,7 @@ def test_both_answers_of_four_storeys_are_found_and_neither_is_trusted(
     there = spread.updated[spread.minima == rival]
     np.testing.assert_allclose(there, np.tile(second, (len(there), 1)), atol=2e-4)
     told = run.summary["trust"]
-    shown = f"Another set fits as well: k1 {second[0]:.3g}"
+    shown = f"Other values fit as well: k1 {second[0]:.3g}"
     assert any(said.startswith(shown) for said in told["sentences"])
     assert told["degrees_of_freedom"] == 0
     assert told["starts"]["fit_as_well"] == [rival]

@@ -108,6 +108,7 @@ def test_used_up_iterations_name_what_the_limit_held_back(tmp_path: Path) -> Non
         "step": "weighted_least_squares",
         "step_limit": 0.05,
         "max_iterations": 3,
+        "starts": 1,
     }
     record = storeys(tmp_path, truth, 3, bounds=(0.1, 11.0), **short)
     assert record.status == "max_iterations"
