@@ -47,10 +47,10 @@ logger = logging.getLogger(__name__)
 A = TypeVar("A")
 
 #: To be increased when the tables or their contents change.
-LAYOUT = 1
+LAYOUT = 2
 TABLES = """
 CREATE TABLE folders(name TEXT PRIMARY KEY, inode INTEGER, changed_ns INTEGER) WITHOUT ROWID;
-CREATE TABLE asked(id INTEGER PRIMARY KEY, solver TEXT, kind TEXT, told TEXT UNIQUE);
+CREATE TABLE asked(id INTEGER PRIMARY KEY, solver TEXT, kind TEXT, shared TEXT UNIQUE);
 CREATE TABLE entries(key TEXT PRIMARY KEY, folder TEXT, inode INTEGER, size INTEGER,
     written_ns INTEGER, asked INTEGER, wall_s REAL, numbers BLOB) WITHOUT ROWID;
 CREATE INDEX by_folder ON entries(folder);
@@ -180,7 +180,7 @@ class StoreIndex:
         values = (chosen.before_ns, chosen.larger, count)
         keys = f"SELECT key FROM entries {CHOSEN} ORDER BY {order}, key LIMIT ?"
         self._read_heads(f"key IN ({keys})", values)
-        told: dict[int, JobDescription | None] = {UNREADABLE: None}
+        shared: dict[int, JobDescription | None] = {UNREADABLE: None}
         found = []
         rows = self._database.execute(
             "SELECT key, size, written_ns, wall_s, asked, numbers FROM entries "
@@ -188,11 +188,11 @@ class StoreIndex:
             values,
         ).fetchall()
         for key, size, written_ns, wall_s, asked, numbers in rows:
-            if asked not in told:
-                query = "SELECT told FROM asked WHERE id = ?"
+            if asked not in shared:
+                query = "SELECT shared FROM asked WHERE id = ?"
                 ((text,),) = self._database.execute(query, (asked,)).fetchall()
-                told[asked] = _read_shared_part(text)
-            job = told[asked]
+                shared[asked] = _read_shared_part(text)
+            job = shared[asked]
             if job is not None:
                 job = replace(job, key=str(key), note=_with_values(job.note, numbers))
             found.append(IndexedEntry(str(key), int(size), written_ns / 1e9, float(wall_s), job))
@@ -211,12 +211,12 @@ class StoreIndex:
         job is None for unreadable entries."""
         self._read_heads("TRUE", ())
         rows = self._database.execute(
-            "SELECT told, COUNT(*), SUM(size), SUM(wall_s) FROM entries "
+            "SELECT shared, COUNT(*), SUM(size), SUM(wall_s) FROM entries "
             "LEFT JOIN asked ON asked.id = entries.asked GROUP BY entries.asked"
         ).fetchall()
         return [
-            (_read_shared_part(told) if told else None, int(count), int(size), float(wall_s))
-            for told, count, size, wall_s in rows
+            (_read_shared_part(shared) if shared else None, int(count), int(size), float(wall_s))
+            for shared, count, size, wall_s in rows
         ]
 
     def nearest(self, job: JobDescription) -> list[str]:
@@ -228,20 +228,22 @@ class StoreIndex:
         self._read_heads("TRUE", ())
         ask = self._database.execute
         kinds = ask(
-            "SELECT id, solver, kind, told FROM asked WHERE EXISTS "
+            "SELECT id, solver, kind, shared FROM asked WHERE EXISTS "
             "(SELECT 1 FROM entries WHERE asked = id AND key <> ?)",
             (job.key,),
         ).fetchall()
         classes = [(solver != job.solver, kind != job.kind) for _, solver, kind, _ in kinds]
         alike = []
-        for place, (number, *_, told) in enumerate(kinds):
+        for place, (number, *_, shared) in enumerate(kinds):
             if classes[place] == min(classes):
-                alike.append((_differing(job, _read_shared_part(told)), number, json.loads(told)))
+                alike.append(
+                    (_differing(job, _read_shared_part(shared)), number, json.loads(shared))
+                )
         best: list[tuple[int, float, int, str]] = []
-        for base, number, told in sorted(alike, key=lambda item: item[:2]):
+        for base, number, shared in sorted(alike, key=lambda item: item[:2]):
             if len(best) == NEAREST and base > best[-1][0]:
                 break
-            names = told["names"] if told["note"] and job.note else None
+            names = shared["names"] if shared["note"] and job.note else None
             best = sorted([*best, *self._closest(job, base, number, names)])[:NEAREST]
         return [key for *_, key in best]
 
@@ -321,15 +323,15 @@ class StoreIndex:
         if holding is None:
             return UNREADABLE, 0.0, b""
         job = job_of_holding(holding)
-        told, ask = _shared_part(job), self._database.execute
-        if told not in self._numbers:
-            row = (job.solver, job.kind, told)
-            ask("INSERT OR IGNORE INTO asked(solver, kind, told) VALUES (?, ?, ?)", row)
-            ((number,),) = ask("SELECT id FROM asked WHERE told = ?", (told,)).fetchall()
-            self._numbers[told] = number
+        shared, ask = _shared_part(job), self._database.execute
+        if shared not in self._numbers:
+            row = (job.solver, job.kind, shared)
+            ask("INSERT OR IGNORE INTO asked(solver, kind, shared) VALUES (?, ?, ?)", row)
+            ((number,),) = ask("SELECT id FROM asked WHERE shared = ?", (shared,)).fetchall()
+            self._numbers[shared] = number
         values = [value for _, value in job.note.values] if job.note else []
         numbers = np.array(values, dtype=np.float64).tobytes()
-        return self._numbers[told], holding.wall_s, numbers
+        return self._numbers[shared], holding.wall_s, numbers
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -371,14 +373,14 @@ def _shared_part(job: JobDescription) -> str:
 
 
 def _read_shared_part(text: str) -> JobDescription:
-    told: Any = json.loads(text)
+    shared: Any = json.loads(text)
     note = None
-    if told["note"] is not None:
-        columns = tuple(told["note"].pop("columns"))
-        values = tuple((name, 1.0) for name in told["names"])
-        note = JobNote(**told["note"], columns=columns, values=values)
-    asked = tuple((str(name), str(value)) for name, value in told["asked"])
-    return JobDescription("", told["solver"], told["version"], told["kind"], asked, note)
+    if shared["note"] is not None:
+        columns = tuple(shared["note"].pop("columns"))
+        values = tuple((name, 1.0) for name in shared["names"])
+        note = JobNote(**shared["note"], columns=columns, values=values)
+    asked = tuple((str(name), str(value)) for name, value in shared["asked"])
+    return JobDescription("", shared["solver"], shared["version"], shared["kind"], asked, note)
 
 
 def _with_values(note: JobNote | None, numbers: bytes) -> JobNote | None:

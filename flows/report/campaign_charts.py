@@ -1,6 +1,6 @@
-"""The charts of a campaign: what its report shows, its pictures for print, and what demos draw.
+"""The charts of a campaign, for its report and for print.
 
-Each is described once (`chart`); `campaign_charts` names all that a record gives.
+Each is described once (`chart`); `campaign_charts` yields all charts of a record.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ LEAST_BEND = 1e-4
 
 
 def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
-    """Name and chart of everything the record gives, one after the other."""
+    """Yield name and chart of everything that a record contains."""
     first, last, title = record.iterations[0], record.best, record.name
     if record.test.has_shapes and mac_table(record, last).size:
         tables = [("before", mac_table(record, first)), ("after", mac_table(record, last))]
@@ -97,9 +97,9 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
 def mac_towers(
     title: str, tables: Sequence[tuple[str, Floats]], numbers: Sequence[object]
 ) -> Chart:
-    """MAC matrices as bars in space, side by side.
+    """Return MAC matrices as 3D bars, side by side.
 
-    tables: heading and MAC (n_computed, n_measured); numbers: of the measured modes.
+    tables has headings and MAC matrices (n_computed, n_measured); numbers are the measured modes'.
     """
     panels = _mac_panels(Towers, tables, numbers)
     return Chart(title, "MAC as bars", panels, len(panels), (4.9, 4.2))
@@ -126,10 +126,7 @@ def _mac_panels(
 def frequencies(
     title: str, numbers: Sequence[object], test_hz: Floats, before_hz: Floats, after_hz: Floats
 ) -> Chart:
-    """Computed over measured frequencies with the 45-degree line, and their errors.
-
-    numbers: of the modes, (n_modes,), like the frequencies.
-    """
+    """Return computed over measured frequencies with the 45-degree line, and their errors."""
     names, largest = names_of(numbers), 1.06 * float(np.max((test_hz, before_hz, after_hz)))
     ends, span = np.array([0.0, largest]), (0.0, largest)
     points, bars = [Curve("equal", ends, ends, GREY, width=1.0)], []
@@ -154,7 +151,7 @@ def frequencies(
 
 
 def parameter_histories(record: CampaignRecord) -> Chart:
-    """Values relative to the deck over the iterations; those not kept are open and unconnected."""
+    """Return values relative to the deck by iteration; rejected ones are open and unconnected."""
     items = []
     kept = [item for item in record.iterations if item.accepted]
     tried = [item for item in record.iterations if not item.accepted]
@@ -175,7 +172,7 @@ def parameter_histories(record: CampaignRecord) -> Chart:
 
 
 def field_chart(found: FieldMap) -> Chart:
-    """A field on its part, and its values with two standard errors, element by element."""
+    """Return a field on its part, and its values by element with two standard errors."""
     ends = np.linspace(found.values.min(), found.values.max() + 1e-12, len(FIELD_COLOURS) + 1)
     classes = np.digitize(found.values, ends[1:-1])
     tooltips = [
@@ -215,7 +212,7 @@ def field_chart(found: FieldMap) -> Chart:
 
 
 def estimates(record: CampaignRecord) -> Chart:
-    """Correlation of the parameters' estimates."""
+    """Return the correlation of the estimated parameters."""
     names = record.parameters.names
     heat = HeatMap(record.correlation, "{row} and {column}: {value:+.3f}", "", -1.0, 1.0, "RdBu")
     panel = Panel((heat,), Axis(names=names, slant=40), Axis(names=names, turned=True))
@@ -224,9 +221,9 @@ def estimates(record: CampaignRecord) -> Chart:
 
 
 def sensitivities(record: CampaignRecord, matrices: Sequence[tuple[int, Floats]]) -> Chart:
-    """Normalised sensitivities, a panel a mode, a bar a parameter (as thesis, figures 49 to 51).
+    """Return normalised sensitivities by mode and parameter (as thesis, figures 49 to 51).
 
-    matrices: iteration and (n_modes, n_parameters), the first and the last one.
+    matrices has iteration and (n_modes, n_parameters) of the first and the last.
     """
     labels, colours = [row.label for row in mode_rows(record)], (BEFORE, AFTER)
     panels = tuple(
@@ -246,7 +243,7 @@ def sensitivities(record: CampaignRecord, matrices: Sequence[tuple[int, Floats]]
 
 
 def convergence(record: CampaignRecord) -> Chart:
-    """Residual and slope over the iterations; e2's line, and where it skipped a sensitivity."""
+    """Return residual and slope by iteration, with e2 and the sensitivities it skipped."""
     items, norms, slopes = record.iterations, [], []
     for name, line, mark, kept in (("kept", "-", "o", True), ("not kept", "", "x", False)):
         chosen = [item for item in items if item.accepted is kept]
@@ -271,7 +268,7 @@ def convergence(record: CampaignRecord) -> Chart:
 
 
 def comac(title: str, found: SensorAgreement) -> Chart:
-    """COMAC of each sensor before and after."""
+    """Return COMAC of each sensor before and after."""
     at, items = positions(found.labels), []
     looks = ("before", found.before, BEFORE, "o"), ("after", found.after, AFTER, "x")
     for name, values, colour, mark in looks:
@@ -285,7 +282,7 @@ def comac(title: str, found: SensorAgreement) -> Chart:
 
 
 def sensor_shapes(record: CampaignRecord) -> Chart:
-    """Shapes of test and model over the sensors, a panel a mode; a test's shape has length one."""
+    """Return shapes of test and model over the sensors; the test's have unit length."""
     first, last = record.iterations[0], record.best
     test, before = scaled_test(record, first)
     after = scaled_test(record, last)[1]
@@ -309,34 +306,31 @@ def sensor_shapes(record: CampaignRecord) -> Chart:
 
 
 def l_curve(trust: Trust) -> Chart:
-    """Size of the step over what it leaves, for all factors; the corner and the factor taken."""
+    """Return step size over remaining residual for all factors, with the corner and the choice."""
     curve = trust.curve
     assert curve is not None
     tooltips = tuple(
-        f"factor {factor:.3g}: left {left:.3g}, size {size:.3g}"
+        f"factor {factor:.3g}: residual {left:.3g}, step {size:.3g}"
         for factor, left, size in zip(curve.factors, curve.misfits, curve.sizes, strict=True)
     )
     items = [Curve("all factors", curve.misfits, curve.sizes, GREY, tooltips=tooltips)]
     points = [("corner", curve.corner, TEST, "ring")]
     if trust.regularisation > 0.0:
-        points.append(("taken", trust.regularisation, AFTER, "x"))
+        points.append(("selected", trust.regularisation, AFTER, "x"))
     for name, factor, colour, mark in points:
         at = [int(np.argmin(np.abs(np.log(curve.factors / factor))))]
         there, label = (curve.misfits[at], curve.sizes[at]), f"{name}: {factor:.3g}"
         items.append(Curve(label, *there, colour, "", mark, size=9.0))
     panel = Panel(
         tuple(items),
-        Axis("residual left, in standard deviations", log=True),
-        Axis("size of the step, in deviations", log=True),
+        Axis("remaining residual, in standard deviations", log=True),
+        Axis("step size, in prior standard deviations", log=True),
     )
     return Chart("L-curve of the last step", "L-curve of the last step", (panel,))
 
 
 def responses(title: str, unit: str, lines_hz: Floats, curves: Sequence[ResponseCurve]) -> Chart:
-    """Magnitudes of response functions over frequency, one over the other.
-
-    lines_hz: (n_lines,); unit: of the response, for the axis.
-    """
+    """Return magnitudes of response functions over frequency, with the unit of the response."""
     looks = {"test": (TEST, "-", 2.0), "before": (BEFORE, "-", 1.3), "after": (AFTER, "--", 1.5)}
     items = []
     for curve in curves:
@@ -353,7 +347,6 @@ def responses(title: str, unit: str, lines_hz: Floats, curves: Sequence[Response
 
 
 def _above_zero(values: Floats) -> Floats:
-    """What a logarithmic axis can show."""
     return np.where(values > 0.0, values, np.nan)
 
 

@@ -1,6 +1,6 @@
-"""Charts drawn by Matplotlib, for print; without pyplot, so that any thread may draw.
+"""Charts drawn by Matplotlib for print, without pyplot, so that any thread may draw.
 
-Each drawing is a figure that the caller may go on with; `save` writes it as PNG or SVG.
+Each drawing is a figure that the caller may modify; `save` writes it as PNG or SVG.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from modetune.core.storage.files import writing
 from modetune.flows.report.chart import ZERO, Axis, Bars, Chart, Curve, HeatMap, Panel, Rule, Towers
 
 DPI = 150
-#: Side of a tower, of its unit square.
+#: Width of a 3D bar in a grid of unit squares.
 TOWER = 0.66
-#: Names of an axis that have room; of more, every second or third is written.
+#: Maximum number of names along an axis; beyond it only every second or third appears.
 MOST_NAMES = 60
 
 
 def matplotlib_figure(chart: Chart) -> Figure:
-    """The chart for print."""
+    """Return a chart as a figure for print."""
     width, height = chart.size
     figure = new_figure(width * chart.across + 0.6, height * chart.down + 0.5)
     for place, panel in enumerate(chart.panels):

@@ -1,10 +1,9 @@
-"""Mode shapes of test and model laid over each other in space, as arrays for `shapes.js`.
+"""Mode shapes of test and model in 3D, as arrays for `shapes.js`.
 
-The model is its surface, or where the record has none, the points that the sensors look at. The
-test is a point a test node, moved along the directions in which it was measured; directions that
-were not measured stand still. Any test mode can be seen with any computed mode: those whose motion
-is known on the surface move it, the others move the points. Each motion has a largest length of
-one; the browser gives the test the scale and sign in which it is nearest to the model.
+The model is shown by its surface or, if the record has none, by the points of the sensors. The test
+is one point per test node; it moves only in the measured directions. Any test mode can be shown
+with any computed mode, whose motion is that of the surface if known, otherwise that of the points.
+The maximum of each motion is one; the browser scales the test by the modal scale factor.
 """
 
 from __future__ import annotations
@@ -21,21 +20,21 @@ from modetune.core.surface import Surface, display_surface
 from modetune.flows.report.comparison import mac_table
 from modetune.flows.report.mode_tables import mode_label
 
-#: Bytes of a page that its shapes may take, in base64; a surface is thinned until they do.
+#: Maximum size of the shapes in a page, in base64; a larger surface is coarsened.
 SHAPE_BYTES = 1_300_000
-#: Of a node: its place, two triangles and an edge and a half; then of each motion.
+#: Bytes of a node (position, two triangles, one and a half edges), and of each of its motions.
 NODE_BYTES, MOTION_BYTES = 4 / 3 * (12 + 24 + 12), 4 / 3 * 6
-#: Nodes of a surface that a browser without a graphics card still moves smoothly.
+#: Maximum number of nodes that a browser without a graphics card animates smoothly.
 AT_MOST = 12_000
-#: Motions are whole numbers of this many steps; more would look the same.
+#: Motions are stored as integers up to this one, which is precise enough for the eye.
 STEPS = 32767
 
 
 @dataclass(frozen=True, slots=True)
 class ShownMode:
-    """A mode of test or model: its name, its frequency, and its motion.
+    """A mode of test or model with its motion.
 
-    points: (n_points, 3) at the scene's points; surface: (n, 3) at its nodes, empty if unknown.
+    points is (n_points, 3) at the scene's points; surface (n, 3) at its nodes, empty if unknown.
     """
 
     label: str
@@ -48,8 +47,8 @@ class ShownMode:
 class ShownState:
     """The model's elastic modes in one state.
 
-    pairs: (n_pairs, 2), places of test modes and of their partners among `modes`;
-    mac: (n_modes, n_test_modes), empty without measured shapes.
+    pairs (n_pairs, 2) has the positions of test modes and of their partners in `modes`; mac is
+    (n_modes, n_test_modes), empty without measured shapes.
     """
 
     modes: tuple[ShownMode, ...]

@@ -276,8 +276,8 @@ def check_login(url: str) -> None:
     """Refuse a server that anybody may use, who could have studies run. Raises ModetuneError."""
     if ServerClient(url).answer() == "ready":
         raise ModetuneError(
-            f"Prefect's server at {url} asks for no login, so everybody who reaches it can have "
-            "campaigns run as this user; start it with "
+            f"Prefect's server at {url} requires no login, so anybody who can reach it can run "
+            "campaigns as this user; start it with "
             "PREFECT_SERVER_API_AUTH_STRING=name:password, or allow this with --without-login"
         )
 
@@ -299,9 +299,8 @@ def check_pool(pool: str, kind: str) -> None:
     """Refuse a pool of another type. Raises ModetuneError."""
     if kind != POOL_TYPE:
         raise ModetuneError(
-            f"work pool {pool} is of type {kind}, whose runs may bring programs of their own; "
-            f"expected type {POOL_TYPE}: delete that pool on the server, or name another with "
-            "--pool"
+            f"work pool {pool} has type {kind}, whose runs may start any program; expected type "
+            f"{POOL_TYPE}: delete that pool on the server, or select another with --pool"
         )
 
 
