@@ -105,7 +105,7 @@ class ParameterTrust:
         if self.clauses:
             return f"{self.name} {'; it '.join(self.clauses)}."
         error = f"to ±{100 * self.standard_error:.2g} %"
-        return f"{self.name} is told by the test ({100 * self.test_share:.0f} %), {error}."
+        return f"{self.name} is determined by the test ({100 * self.test_share:.0f} %), {error}."
 
     @property
     def error(self) -> float | None:
@@ -511,7 +511,7 @@ def _verdict_sentence(trust: Trust) -> str:
         count = f"{count}, the prior the rest"
     elif n > 1:
         count = f"all {n} parameters"
-    return f"The parameters are {trust.verdict}: {why}. The test tells {count}."
+    return f"The parameters are {trust.verdict}: {why}. The test determines {count}."
 
 
 def _spread_sentences(trust: Trust) -> list[str]:

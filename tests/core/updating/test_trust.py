@@ -92,11 +92,11 @@ def test_nothing_is_flagged_where_everything_is_told() -> None:
     assert found.verdict == "trusted"
     # (500 x 0.2)^2 = 10^4 to 1 of the prior: 99.99 % of each.
     assert trust_sentences(found) == (
-        "The parameters are trusted: none in doubt. The test tells all 4 parameters.",
+        "The parameters are trusted: none in doubt. The test determines all 4 parameters.",
         "Updating ended at the least misfit.",
         "Of 3 starting points 2 converged to the reported solution, 1 failed.",
     )
-    assert found.parameters[0].sentence == "a is told by the test (100 %), to ±0.1 %."
+    assert found.parameters[0].sentence == "a is determined by the test (100 %), to ±0.1 %."
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.5, "lower bound (0.5)"), (2.0, "upper bound (2)")])
