@@ -181,7 +181,7 @@ def test_a_pool_of_another_type_is_refused(site: Site) -> None:
     for command in (["worker", "--once"], ["deploy", "campaign.yaml"]):
         refused = site.run("server", *command, "--pool", "processes")
         assert refused.returncode == 2
-        assert "work pool processes is of type process" in refused.stderr
+        assert "work pool processes has type process" in refused.stderr
 
 
 def test_a_worker_refuses_a_server_without_a_login(monkeypatch: pytest.MonkeyPatch) -> None:
