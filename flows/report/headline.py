@@ -120,10 +120,10 @@ def first_line(record: CampaignRecord) -> str:
         percent(max(abs(getattr(row, f"error_{when}")) for row in rows), sign=False)
         for when in ("initial", "updated")
     )
-    macs = [row.mac_updated for row in rows]
+    macs = record.best.pairing.judged_mac
     agreement = f"frequencies within {after}"
     agreement += f" ({before} before)" if record.best.number else ""
-    agreement += f", MAC at least {min(macs):.3f}" if np.isfinite(macs).all() else ""
+    agreement += f", MAC at least {macs.min():.3f}" if np.isfinite(macs).all() else ""
     lost = len(unmatched_modes(record))
     agreement += f", {_count(lost, 'measured mode')} without a pair" if lost else ""
     agreement += "" if record.status == "converged" else ", e1 not met"

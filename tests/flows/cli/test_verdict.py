@@ -43,7 +43,7 @@ def update(folder: Path, campaign: str, *options: str) -> Any:
 
 TRUSTED, NOT_TRUSTED = "six_mass/campaign.yaml", "four_storey/storeys.yaml"
 RESERVATIONS = "four_storey/bounded.yaml"
-SHORT = ("--set", "update.max_iterations=1")
+SHORT = ("--set", "update.max_iterations=1", "--set", "update.starts=1")
 
 
 @pytest.mark.parametrize(
