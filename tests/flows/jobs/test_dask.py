@@ -332,7 +332,7 @@ def test_an_error_says_after_its_travel_whether_another_try_may_follow() -> None
 
 
 def test_a_worker_that_would_make_another_job_says_so(scripted: Any) -> None:
-    with pytest.raises(CampaignError, match="must be the same on all machines"):
+    with pytest.raises(CampaignError, match="campaign on all machines"):
         travelled(scripted(), modal(), "0" * 64).attempt()
 
 
