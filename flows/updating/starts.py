@@ -14,7 +14,8 @@ campaign requests are run, by the solver, and the sensitivities at two ends pred
 between them.
 
 **Choice.** The lowest objective of the campaign, prior included. Within a difference of 6.6
-(chi-square, 1 degree of freedom, 1 %) an end that meets e1 comes first, then the lower misfit of
+(chi-square, 1 degree of freedom, 1 %; times what the model's error adds to noise) an end that meets
+e1 comes first, then the lower misfit of
 all measured frequencies and shapes, each at its deviation, whether it has a weight or not.
 """
 
@@ -174,12 +175,25 @@ def best_end(ends: Sequence[StartEnd]) -> int:
     lowest = min(end.misfit for end in ends)
     if not np.isfinite(lowest):
         raise next(end.error for end in ends if end.error is not None)
-    near = [n for n, end in enumerate(ends) if end.misfit <= lowest + RISE and not end.saddle]
+    rise = RISE * _times_noise(min(ends, key=lambda end: end.misfit))
+    near = [n for n, end in enumerate(ends) if end.misfit <= lowest + rise and not end.saddle]
     agreeing = [n for n in near if ends[n].agrees] or near
     least = min(ends[n].data_misfit for n in agreeing)
     # A difference that reduced models do not resolve is none.
     alike = [n for n in agreeing if ends[n].data_misfit <= least + 0.1 + 1e-3 * least]
     return 0 if 0 in alike else min(alike, key=lambda n: ends[n].misfit)
+
+
+def _times_noise(best: StartEnd) -> float:
+    """Return how many times more than noise the best end leaves, at least 1.
+
+    Where that is an error of the model, differences between misfits mean that much less (Birge).
+    """
+    found = best.record.best if best.record is not None else best.evaluation
+    if found is None or best.updated is None:
+        return 1.0
+    freedom = found.residual.n_independent - best.updated.size
+    return max(1.0, best.data_misfit / freedom) if freedom > 0 else 1.0
 
 
 @dataclass(frozen=True, slots=True)
