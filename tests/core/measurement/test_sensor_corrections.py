@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from modetune.core.errors import ModesError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
+from modetune.core.measurement.response_functions import Complexes
 from modetune.core.measurement.sensor_corrections import correct_sensors
 from modetune.core.modes import MeasuredModes, mode_set
 
@@ -50,7 +52,7 @@ def recorded(good: Measurement, source: list[int], sign: list[float]) -> Measure
     )
 
 
-def motions(test: Measurement) -> dict[tuple[int, int], np.ndarray]:
+def motions(test: Measurement) -> dict[tuple[int, int], Complexes]:
     """Motion along the axes by sensor."""
     frfs = test.frfs
     assert frfs is not None
@@ -62,6 +64,8 @@ def check_equal(found: Measurement, good: Measurement) -> None:
     assert found.modes is not None
     assert good.modes is not None
     np.testing.assert_array_equal(found.modes.modes.mode_shapes, good.modes.modes.mode_shapes)
+    assert found.complex_shapes is not None
+    assert good.complex_shapes is not None
     np.testing.assert_array_equal(found.complex_shapes, good.complex_shapes)
     by_sensor = motions(good)
     assert motions(found).keys() == by_sensor.keys()
@@ -109,6 +113,8 @@ def test_a_dropped_sensor_is_gone(good: Measurement) -> None:
         ({"reverse": ["3.z"], "drop": ["3.z"]}, "the test has no sensor 3.z"),
     ],
 )
-def test_an_unknown_sensor_is_refused(good: Measurement, keys: dict, message: str) -> None:
+def test_an_unknown_sensor_is_refused(
+    good: Measurement, keys: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ModesError, match=message):
         correct_sensors(good, **keys)

@@ -14,7 +14,7 @@ from modetune.adapters.calculix import solver as calculix
 from modetune.adapters.calculix.job import job_text
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Rendered
 from modetune.adapters.test_files.modes_csv import write_modes_csv
-from modetune.core.algebra import factor_room
+from modetune.core.algebra import factor_room, mumps
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.pardiso import Pardiso
@@ -196,6 +196,7 @@ def test_a_campaign_by_calculix_edits_the_deck_once_a_job(
     assert len(texts) == 2 * first
 
 
+@pytest.mark.skipif(not mumps.is_available(), reason="MUMPS is not installed here")
 def test_what_is_computed_from_results_takes_the_memory_that_the_campaign_names(
     bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,6 +27,7 @@ from modetune.core.modes import Floats
 from modetune.core.updating.minima import RISE
 from modetune.core.updating.trust import StartSpread, Trust
 from modetune.flows.updating import starts as starts_module
+from modetune.flows.updating import step as step_module
 from modetune.flows.updating.record import CampaignRun
 
 #: Polishing and the loop's own end agree with the truth of an exact test to this.
@@ -204,7 +205,7 @@ def test_no_evaluated_point_fits_better_than_the_reported_minimum(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, family: Callable[[Any], Structure]
 ) -> None:
     lowest = [np.inf]
-    own = starts_module.objective
+    own = step_module.objective
 
     def objective(*given: Any) -> float:
         found = own(*given)

@@ -212,7 +212,8 @@ def test_a_reduced_model_that_errs_far_away_is_found_out_by_one_made_there(
         return found
 
     def apart_there(search: Search, one: StartEnd, other: StartEnd) -> bool:
-        false = any(np.array_equal(item.updated, begun[2]) for item in (one, other))
+        ends = (one.updated, other.updated)
+        false = any(end is not None and np.array_equal(end, begun[2]) for end in ends)
         return not false and one_minimum(search, one, other)
 
     def noted(search: Search, start: Floats, begin: Floats) -> Any:

@@ -33,7 +33,7 @@ def test_jobs_under_way_are_told_while_a_campaign_runs(tmp_path: Path) -> None:
         assert re.fullmatch(r"modal of pipe by ccx, abababababab, \d+ s", told["jobs"][0])
 
 
-def test_jobs_done_of_those_asked_are_told_by_the_run_that_counts_them(tmp_path: Path) -> None:
+def test_a_run_counts_its_finished_and_submitted_jobs(tmp_path: Path) -> None:
     store, folder = Store(tmp_path / "store"), tmp_path / "runs" / "pipe"
     folder.mkdir(parents=True)
     record, jobs = LiveRecord(folder), JobProgress(Console(quiet=True))
@@ -41,7 +41,7 @@ def test_jobs_done_of_those_asked_are_told_by_the_run_that_counts_them(tmp_path:
         told: Any = live_json(record, store)
         assert told["progress"] is None  # a run that keeps no file
         jobs.keep(folder)
-        jobs.asked(3)
+        jobs.submitted(3)
         told = live_json(record, store)
         assert told["progress"] == {"text": "starting; 0 of 3 jobs done", "done": 0, "asked": 3}
     assert not list(folder.iterdir())
