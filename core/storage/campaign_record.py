@@ -8,7 +8,7 @@ HDF5 content (`core/storage/sealed_file`).
                            modetune_version, units, deck_digest (SHA-256 and name of its file),
                            e1_frequency, e1_mac, e2, campaign_text (of its file), wall_s
                            datasets: deck_values (n_parameters + n_dependents,), updated,
-                           standard_errors (n_parameters,),
+                           standard_errors (NaN if withheld), repeatability (n_parameters,),
                            correlation (n_par, n_par), settings (what was put over the
                            campaign for this run),
                            versions (of Python and packages), configurations (n_modes,): whose
@@ -208,6 +208,7 @@ class CampaignRecord:
     reason: str
     updated: Floats
     standard_errors: Floats
+    repeatability: Floats
     correlation: Floats
     runs: RunCounts
     wall_s: float
@@ -254,7 +255,19 @@ def _with_extent(file: h5py.File) -> None:
     spread.create_dataset("valley", shape=(0,), dtype=h5py.string_dtype())
 
 
-CAMPAIGN = RecordFile(CampaignRecord, "campaign", "campaign.h5", 8, {7: _with_extent})
+def _with_repeatability(file: h5py.File) -> None:
+    """Change the content of format 8 into that of 9, which keeps errors of the model apart."""
+    file.copy("standard_errors", file, "repeatability")
+    if "trust" in file:
+        file["trust"].attrs["n_predicted"] = 0
+        file["trust"].create_dataset("missed", shape=(0,), dtype=h5py.string_dtype())
+        for item in file["trust/parameters"].values():
+            item.attrs["repeatability"] = item.attrs["standard_error"]
+
+
+CAMPAIGN = RecordFile(
+    CampaignRecord, "campaign", "campaign.h5", 9, {7: _with_extent, 8: _with_repeatability}
+)
 
 
 def write_record(path: Path, record: CampaignRecord) -> None:

@@ -229,7 +229,6 @@ def model_form_sentence(
         f"No admissible parameter set {removes} the residual: what is left is "
         f"{found.times_noise:.2g} times what the stated measurement deviations explain "
         f"({numbers}, {chance}){where}.{bounds} Something is wrong that none of the "
-        "parameters stands for, and standard errors do not cover it: values may lie further off "
-        "than they say. Look at boundary conditions and joints, and at the stated measurement "
-        "deviations."
+        "parameters stands for. Look at boundary conditions and joints, and at the stated "
+        "measurement deviations."
     )

@@ -53,6 +53,8 @@ Ended = Literal["least misfit", "good enough", "under way"]
 NO_DOUBT = {"uncertain", "alike"}
 #: What is left, over what noise explains, beyond which standard errors mean nothing.
 MEANINGLESS = 3.0
+#: Share of left-out modes that may miss their 95 % intervals; beyond it errors are withheld.
+MISSES = 0.2
 #: Standard errors of the least misfit within which updating ended there.
 THERE = 0.3
 #: ... and beyond which values are not called trusted, if they move by more than NEGLIGIBLE.
@@ -88,6 +90,7 @@ class ParameterTrust:
     name: str
     updated: float
     standard_error: float
+    repeatability: float
     test_share: float
     on_bound: bool
     collinear_with: tuple[str, ...]
@@ -104,8 +107,10 @@ class ParameterTrust:
     def sentence(self) -> str:
         if self.clauses:
             return f"{self.name} {'; it '.join(self.clauses)}."
-        error = f"to ±{100 * self.standard_error:.2g} %"
-        return f"{self.name} is determined by the test ({100 * self.test_share:.0f} %), {error}."
+        determined = f"{self.name} is determined by the test ({100 * self.test_share:.0f} %)"
+        if np.isnan(self.standard_error):
+            return f"{determined}; its standard error is withheld."
+        return f"{determined}, to ±{100 * self.standard_error:.2g} %."
 
     @property
     def error(self) -> float | None:
@@ -163,7 +168,8 @@ class Trust:
     this step used; age: iterations since the sensitivity behind all this was computed; spread: of
     several starts; concerns: sentences of others; notes: sentences that doubt nothing;
     times_noise: how many times more is left than noise explains where a model-form error is
-    suspected, else 0.
+    suspected, else 0; missed: names of the modes whose prediction from all other modes misses its
+    95 % interval, of n_predicted.
     """
 
     parameters: tuple[ParameterTrust, ...]
@@ -179,6 +185,8 @@ class Trust:
     concerns: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     times_noise: float = 0.0
+    missed: tuple[str, ...] = ()
+    n_predicted: int = 0
 
     @property
     def meaningless(self) -> bool:
@@ -186,9 +194,16 @@ class Trust:
         return self.times_noise > MEANINGLESS
 
     @property
+    def withheld(self) -> bool:
+        """Whether no standard error describes the parameters."""
+        return too_many_missed(len(self.missed), self.n_predicted)
+
+    @property
     def short(self) -> Floats:
         """The way to the least misfit in standard errors of that, (n_parameters,)."""
         errors = np.array([item.standard_error for item in self.parameters])
+        noise = np.array([item.repeatability for item in self.parameters])
+        errors = np.where(np.isnan(errors), np.hypot(noise, self.remaining), errors)
         known = np.isfinite(errors) & (self.remaining != 0.0)
         scatter = np.sqrt(np.maximum(np.where(known, errors, 1.0) ** 2 - self.remaining**2, 0.0))
         tiny = np.finfo(np.float64).tiny
@@ -229,7 +244,8 @@ class Trust:
     @property
     def verdict(self) -> TrustVerdict:
         doubtful = [item for item in self.parameters if item.doubtful]
-        if self.meaningless or self.unchecked or 2 * len(doubtful) > len(self.parameters):
+        lost = self.meaningless or self.withheld or self.unchecked
+        if lost or 2 * len(doubtful) > len(self.parameters):
             return TrustVerdict.NOT_TRUSTED
         if any(set(item.flags) - NO_DOUBT == {"starts"} for item in doubtful):
             return TrustVerdict.NOT_TRUSTED
@@ -239,6 +255,12 @@ class Trust:
         if doubtful or rivals or unsure or not self.agrees:
             return TrustVerdict.RESERVATIONS
         return TrustVerdict.TRUSTED
+
+
+def too_many_missed(n_missed: int, n_predicted: int) -> bool:
+    """Return whether so many left-out modes miss their 95 % intervals that no standard error
+    describes the parameters. Of a few modes one may miss by chance."""
+    return n_missed > max(1.0, MISSES * n_predicted)
 
 
 def with_spread(trust: Trust, spread: StartSpread) -> Trust:
@@ -267,13 +289,15 @@ def judge_parameters(
     updated: Floats,
     start: Floats,
     standard_errors: Floats,
+    repeatability: Floats,
     found: Identifiability,
     missing: tuple[int, ...] = (),
     zones: Collection[int] = (),
 ) -> tuple[ParameterTrust, ...]:
     """Flags and half sentences of each parameter.
 
-    updated, start, standard_errors: (n_parameters,), relative to the deck; missing: positions
+    updated, start, standard_errors, repeatability: (n_parameters,), relative to the deck, NaN where
+    an error is withheld; missing: positions
     whose sensitivity could not be computed; zones: of fields, which are judged as one
     (`core/updating/parameter_fields`).
     """
@@ -312,7 +336,7 @@ def judge_parameters(
                 f"changed by {_change(scale, change)}, less than its standard error "
                 f"({_change(scale, error).replace('+', '±')}): the value it had fits as well"
             )
-        if not np.isfinite(error) and not set(said) - NO_DOUBT:
+        if np.isinf(error) and not set(said) - NO_DOUBT:
             said["undetermined"] = "has no finite standard error: the test alone does not fix it"
         others = sorted({*hidden.get(place, ()), *alike.get(place, ())})
         judged.append(
@@ -320,6 +344,7 @@ def judge_parameters(
                 item.name,
                 value,
                 error,
+                float(repeatability[place]),
                 share,
                 "on_bound" in said,
                 tuple(parameters.names[other] for other in others),
@@ -472,6 +497,11 @@ def verdict_reasons(trust: Trust) -> tuple[str, ...]:
     """Return why the parameters are not simply trusted, the gravest reason first."""
     doubtful = [item.name for item in trust.parameters if item.doubtful]
     n, reasons = len(trust.parameters), []
+    if trust.withheld:
+        reasons.append(
+            f"{len(trust.missed)} of {trust.n_predicted} left-out modes miss the interval that the "
+            f"other modes predict ({_listed(trust.missed)}), so standard errors are withheld"
+        )
     if trust.meaningless:
         reasons.append(
             f"what is left is {trust.times_noise:.2g} times what noise explains, so standard "

@@ -54,6 +54,7 @@ def brief_record(record: CampaignRecord) -> CampaignRecord:
         deck_values=record.deck_values[[*places, *kept]],
         updated=record.updated[places],
         standard_errors=record.standard_errors[places],
+        repeatability=record.repeatability[places],
         correlation=record.correlation[np.ix_(places, places)],
         splits=(*record.splits[:SHOWN], *_more(len(record.splits) - SHOWN)),
         trust=trust and replace(trust, parameters=tuple(trust.parameters[n] for n in places)),

@@ -24,10 +24,12 @@ SYSTEMS: dict[str, tuple[str, str, str]] = {
 class ParameterRow:
     """A parameter before and after, in its own values and in the deck's units.
 
-    initial, updated, standard_error and bounds are in the kind of `values`; deck_value,
-    updated_value and value_error in the deck's units. Both errors are None on a bound, where the
-    value does not scatter. test_share is 1 if the test alone determines the value, 0 if only the
-    prior does, None if unknown or if an expression gives the value, which then has infinite bounds.
+    initial, updated, standard_error, repeatability and bounds are in the kind of `values`;
+    deck_value, updated_value and value_error in the deck's units. repeatability is the effect of
+    test noise alone, and standard_error includes the model's own error. Errors are None on a
+    bound, where the value does not scatter. test_share is 1 if the test alone determines the value,
+    0 if only the prior does, None if unknown or if an expression gives the value, which then has
+    infinite bounds.
     """
 
     name: Annotated[str, Column("parameter")]
@@ -44,6 +46,7 @@ class ParameterRow:
         float | None, Column("standard error, of deck", "%", ".2f", "unknown")
     ]
     value_error: Annotated[float | None, Column("standard error", "", ".3g", "unknown")]
+    repeatability: Annotated[float | None, Column("repeatability, of deck", "%", ".2f", "unknown")]
     test_share: Annotated[float | None, Column("from the test", "%", ".0f")]
     bounds: Annotated[tuple[float, float], Column("bounds", form="g")]
     on_bound: Annotated[bool, Column("on a bound")]
@@ -76,6 +79,7 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
     first = record.iterations[0].parameters
     starts, ends = (dict(record.parameters.assigned(theta)) for theta in (first, record.updated))
     errors = (*record.standard_errors, *_dependent_errors(record))
+    noise = (*record.repeatability, *[np.nan] * len(record.parameters.dependents))
     rows = []
     for place, (item, start) in enumerate(starts.items()):
         deck, error = float(record.deck_values[place]), float(errors[place])
@@ -97,6 +101,7 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
                 change=after / before - 1.0 if before else np.nan,
                 standard_error=item.scale * error or None,
                 value_error=abs(factor) * item.scale * error or None,
+                repeatability=item.scale * float(noise[place]) or None,
                 test_share=None
                 if trust is None or item.expression
                 else trust.parameters[place].test_share,

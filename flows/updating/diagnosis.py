@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,13 +11,21 @@ from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.storage.keys import Json
 from modetune.core.updating.identifiability import identifiability
+from modetune.core.updating.model_error import birge_ratios, linear_fit, missed_modes
 from modetune.core.updating.parameter_fields import FieldAnswer, answer
-from modetune.core.updating.parameter_steps import RANK_TOLERANCE, LCurve, from_initial, l_curve
+from modetune.core.updating.parameter_steps import (
+    RANK_TOLERANCE,
+    LCurve,
+    from_initial,
+    l_curve,
+    parameter_covariance,
+)
 from modetune.core.updating.trust import (
     StartSpread,
     Trust,
     combination_sentences,
     judge_parameters,
+    too_many_missed,
     trust_sentences,
     with_concerns,
 )
@@ -25,27 +33,95 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluation import Matrix
-from modetune.flows.updating.step import step_problem
+from modetune.flows.updating.step import (
+    prior_weights,
+    step_problem,
+    used_weights,
+    way_to_least_misfit,
+)
 
 #: Collinear subsets that the summary names.
 NAMED = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterErrors:
+    """The errors of parameters, and whether left-out modes confirm them.
+
+    standard_errors: (n,), NaN where they are withheld; repeatability: (n,), by the noise of the
+    test alone; correlation: (n, n); remaining: (n,), the distance to the minimum misfit; limited:
+    names of responses at a limit there; missed: names of the modes whose prediction from the others
+    misses its interval, of n_predicted.
+    """
+
+    standard_errors: Floats
+    repeatability: Floats
+    correlation: Floats
+    remaining: Floats
+    limited: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()
+    n_predicted: int = 0
+
+
+def parameter_errors(
+    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
+) -> ParameterErrors:
+    """Return the errors of the present parameters; NaN without a sensitivity.
+
+    The variances of the test give the minimum a covariance, and with the model's own error
+    (`core/updating/model_error`) a larger one, C. Parameters at a distance d before the minimum
+    differ from the truth by C + d d^T. Parameters at bounds and limits do not scatter.
+    """
+    n, found, factor = len(campaign.parameters), last.residual, last.regularisation
+    if matrix is None:
+        none = np.full(n, np.nan)
+        return ParameterErrors(none, none, np.full((n, n), np.nan), none)
+    remaining, held, limits = way_to_least_misfit(
+        campaign, last.parameters, found, matrix.values, factor
+    )
+    weights = used_weights(campaign, found)
+    prior = prior_weights(campaign, last.parameters, factor)
+    rows = found.independent(matrix.values)
+    # A pull that was found stronger than deviations beforehand draws real changes back.
+    strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
+
+    def covariance_of(variances: Floats) -> Floats:
+        return parameter_covariance(rows, variances, weights, prior, held, strength)
+
+    fit = linear_fit(found, rows, remaining, weights, prior, held)
+    missed, n_predicted = missed_modes(fit)
+    covariance = covariance_of(birge_ratios(fit) ** 2 * found.variances)
+    covariance = covariance + np.outer(remaining, remaining)
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(errors, errors)
+    still = errors == 0.0
+    correlation[still], correlation[:, still] = 0.0, 0.0
+    correlation[still, still] = 1.0
+    if too_many_missed(len(missed), n_predicted):
+        errors = np.where(np.isfinite(errors) & ~still, np.nan, errors)
+    return ParameterErrors(
+        errors,
+        np.sqrt(np.diag(covariance_of(found.variances))),
+        correlation,
+        remaining,
+        tuple(found.labels[row] for row in limits.tolist()),
+        missed,
+        n_predicted,
+    )
 
 
 def campaign_trust(
     campaign: Campaign,
     iterations: Sequence[IterationRecord],
     matrix: Matrix | None,
-    standard_errors: Floats,
-    remaining: Floats,
+    errors: ParameterErrors,
     agrees: bool,
     answers: Sequence[FieldAnswer] = (),
-    held: Sequence[str] = (),
 ) -> Trust | None:
     """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
 
-    standard_errors, remaining: (n_parameters,), at the answer, and its way to the least misfit;
-    agrees: whether e1 is met; answers: of the campaign's fields; held: responses at a
-    limit.
+    errors: at the answer; agrees: whether e1 is met; answers: of the campaign's fields.
     """
     if matrix is None:
         return None
@@ -68,14 +144,15 @@ def campaign_trust(
             parameters,
             last.parameters,
             iterations[0].parameters,
-            standard_errors,
+            errors.standard_errors,
+            errors.repeatability,
             found,
             matrix.missing,
             set(zones),
         ),
         identifiability=found,
         agrees=agrees,
-        remaining=remaining,
+        remaining=errors.remaining,
         freedom=_freedom(campaign, last, matrix),
         unseen=(
             *combination_sentences(parameters.names, found),
@@ -88,8 +165,10 @@ def campaign_trust(
         concerns=tuple(
             f"The test asks for more than the limit of {name} allows: the answer stands on the "
             "limit, and standard errors are those of changes that keep to it."
-            for name in held
+            for name in errors.limited
         ),
+        missed=errors.missed,
+        n_predicted=errors.n_predicted,
     )
 
 
@@ -191,7 +270,7 @@ def trust_summary(trust: Trust | None) -> Json:
     )
     return json_object(
         trust,
-        "verdict regularisation",
+        "verdict regularisation missed n_predicted",
         ended_at=trust.ended,
         degrees_of_freedom=trust.freedom,
         sentences=trust_sentences(trust),
@@ -214,6 +293,7 @@ def trust_summary(trust: Trust | None) -> Json:
                 item,
                 "name test_share on_bound collinear_with flags sentence",
                 standard_error=item.error,
+                repeatability=item.repeatability or None,
                 to_least_misfit=way,
             )
             for item, way in zip(trust.parameters, trust.remaining.tolist(), strict=True)

@@ -25,7 +25,7 @@ from modetune import __version__
 from modetune.core.errors import ModesError, StorageUnavailable
 from modetune.core.measurement.sensor_map import global_directions
 from modetune.core.mesh import Mesh, global_shapes
-from modetune.core.modes import Floats, ModeSet, mode_set
+from modetune.core.modes import ModeSet, mode_set
 from modetune.core.storage.campaign_record import (
     CampaignRecord,
     IterationRecord,
@@ -36,7 +36,6 @@ from modetune.core.storage.campaign_record import (
 )
 from modetune.core.storage.keys import Json
 from modetune.core.surface import Surface
-from modetune.core.updating.parameter_steps import parameter_covariance
 from modetune.core.updating.verdict import FailOn, TrustVerdict
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
@@ -55,10 +54,14 @@ from modetune.flows.report.parameter_tables import ParameterRow, parameter_rows
 from modetune.flows.report.report_file import PAGE
 from modetune.flows.report.response_tables import response_rows
 from modetune.flows.report.tables import frame, json_object
-from modetune.flows.updating.diagnosis import campaign_trust, field_answers, trust_summary
+from modetune.flows.updating.diagnosis import (
+    campaign_trust,
+    field_answers,
+    parameter_errors,
+    trust_summary,
+)
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.forecast import Forecast
-from modetune.flows.updating.step import prior_weights, used_weights, way_to_least_misfit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +85,7 @@ def campaign_record(
     """Return the present record of a campaign; standard errors are by its newest matrix."""
     accepted, only = [item for item in iterations if item.accepted], campaign.only
     own = campaign.parameters
-    errors, correlation, remaining, held = _scatter(campaign, accepted[-1], matrix)
+    errors = parameter_errors(campaign, accepted[-1], matrix)
     answers = () if status == "running" else field_answers(campaign, iterations, matrix)
     return CampaignRecord(
         name=campaign.name,
@@ -100,8 +103,9 @@ def campaign_record(
         status=status,
         reason=reason,
         updated=accepted[-1].parameters,
-        standard_errors=errors,
-        correlation=correlation,
+        standard_errors=errors.standard_errors,
+        repeatability=errors.repeatability,
+        correlation=errors.correlation,
         runs=runs,
         wall_s=wall_s,
         surface=None if only is None else shown_surface(only),
@@ -120,9 +124,7 @@ def campaign_record(
         deck_digest="" if status == "running" else _deck_digest(campaign),
         trust=None
         if status == "running"
-        else campaign_trust(
-            campaign, iterations, matrix, errors, remaining, status == "converged", answers, held
-        ),
+        else campaign_trust(campaign, iterations, matrix, errors, status == "converged", answers),
         fields=answers,
     )
 
@@ -141,37 +143,6 @@ def _deck_digest(campaign: Campaign) -> str:
     except OSError:  # moved since it was read
         return ""
     return "; ".join(dict.fromkeys(told))
-
-
-def _scatter(
-    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
-) -> tuple[Floats, Floats, Floats, tuple[str, ...]]:
-    """Return standard errors (n,) and correlation (n, n) of the present parameters, their
-    distance from the minimum misfit (n,), and the responses at a limit there.
-
-    Measurement variances give the minimum a covariance C; parameters at a distance d before it
-    differ from the truth by C + d d^T. Parameters at bounds and limits do not scatter.
-    """
-    n, found, factor = len(campaign.parameters), last.residual, last.regularisation
-    if matrix is None:
-        return np.full(n, np.nan), np.full((n, n), np.nan), np.full(n, np.nan), ()
-    remaining, held, limits = way_to_least_misfit(
-        campaign, last.parameters, found, matrix.values, factor
-    )
-    weights = used_weights(campaign, found)
-    prior = prior_weights(campaign, last.parameters, factor)
-    rows = found.independent(matrix.values)
-    # A pull that was found stronger than deviations beforehand draws real changes back.
-    strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
-    covariance = parameter_covariance(rows, found.variances, weights, prior, held, strength)
-    covariance = covariance + np.outer(remaining, remaining)
-    errors = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(errors, errors)
-    still = errors == 0.0
-    correlation[still], correlation[:, still] = 0.0, 0.0
-    correlation[still, still] = 1.0
-    return errors, correlation, remaining, tuple(found.labels[row] for row in limits.tolist())
 
 
 def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:

@@ -106,6 +106,7 @@ def record() -> CampaignRecord:
         reason="e1 is met",
         updated=np.array([1.2]),
         standard_errors=np.array([0.01]),
+        repeatability=np.array([0.01]),
         correlation=np.ones((1, 1)),
         runs=RunCounts(3, 6, 9, 12.0, 15.0),
         wall_s=20.0,
@@ -157,12 +158,16 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "campaign.h5"
 
 
-def test_what_was_written_is_read(file: Path) -> None:
+def kept() -> CampaignRecord:
+    """Return the record as a file keeps it."""
     written = record()
     # Of sets that are neither the first nor the best no field is kept.
     middle = replace(written.iterations[1], field=mode_set([]))
-    kept = replace(written, iterations=(written.iterations[0], middle, written.iterations[2]))
-    assert_same(read_record(file), kept)
+    return replace(written, iterations=(written.iterations[0], middle, written.iterations[2]))
+
+
+def test_what_was_written_is_read(file: Path) -> None:
+    assert_same(read_record(file), kept())
 
 
 def test_a_record_without_model_and_sensors_is_read_without(tmp_path: Path) -> None:
@@ -188,8 +193,8 @@ def test_a_record_of_an_earlier_version_is_told_with_the_remedy(tmp_path: Path) 
 def test_a_record_of_another_format_is_told_with_the_remedy(file: Path) -> None:
     title = f"campaign record {CAMPAIGN.format}".encode()
     assert title in file.read_bytes()
-    file.write_bytes(file.read_bytes().replace(title, b"campaign record 9"))
-    said = rf"record 9, .* reads format {CAMPAIGN.format}; use the version that"
+    file.write_bytes(file.read_bytes().replace(title, b"campaign record 99"))
+    said = rf"record 99, .* reads format {CAMPAIGN.format}; use the version that"
     with pytest.raises(CampaignError, match=said):
         read_record(file)
 
@@ -216,6 +221,7 @@ def test_a_record_of_format_7_is_read_with_what_it_had(tmp_path: Path) -> None:
 
     def older(file: h5py.File) -> None:
         write_value(file, replace(record(), trust=trust))
+        del file["repeatability"], file["trust/missed"], file["trust"].attrs["n_predicted"]
         del file["trust/spread"].attrs["n_starts"]
         for name in ("exchanged", "extent", "valley"):
             del file["trust/spread"][name]
@@ -224,6 +230,12 @@ def test_a_record_of_format_7_is_read_with_what_it_had(tmp_path: Path) -> None:
     found = CAMPAIGN.read(tmp_path / "campaign.h5")
     assert found.trust is not None
     assert repr(found.trust.spread) == repr(spread)
+
+
+def test_a_stored_record_of_format_7_is_read(tmp_path: Path) -> None:
+    older = Path(__file__).parent / "campaign_7.h5"
+    assert f"{CAMPAIGN.title}7".encode() in older.read_bytes()
+    assert_same(read_record(older), kept())
 
 
 def cut(file: Path) -> None:

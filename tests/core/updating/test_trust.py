@@ -46,7 +46,7 @@ def trust(
     values = np.array(updated)
     found = identifiability(sensitivity, np.ones(len(sensitivity)), np.full(n, 0.2), values)
     standard = np.array(errors) if errors else np.full(n, 0.001)
-    judged = judge_parameters(parameters, values, np.ones(n), standard, found, missing)
+    judged = judge_parameters(parameters, values, np.ones(n), standard, standard, found, missing)
     left = np.array(remaining) if remaining else np.zeros(n)
     unseen = combination_sentences(parameters.names, found)
     same = spread(n, (), ())

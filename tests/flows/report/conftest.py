@@ -134,6 +134,7 @@ def plate_record(n: int = 12) -> CampaignRecord:
         reason="e1 is met",
         updated=items[2].parameters,
         standard_errors=np.array([0.01, 0.02]),
+        repeatability=np.array([0.008, 0.02]),
         correlation=np.array([[1.0, 0.3], [0.3, 1.0]]),
         runs=RunCounts(3, 6, 1, 90.0, 45.0),
         wall_s=4.5,

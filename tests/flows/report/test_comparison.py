@@ -71,6 +71,7 @@ def test_what_is_in_doubt_is_remarked(record: CampaignRecord) -> None:
     doubtful = replace(
         record,
         standard_errors=np.array([0.5, 0.01]),
+        repeatability=np.array([0.5, 0.01]),
         correlation=np.array([[1, -0.99], [-0.99, 1]]),
     )
     said = " ".join(remarks(doubtful))

@@ -211,6 +211,7 @@ def test_the_summary_has_every_number_as_json(bench: Any, watcher: Any) -> None:
             "name",
             "test_share",
             "standard_error",
+            "repeatability",
             "on_bound",
             "collinear_with",
             "flags",

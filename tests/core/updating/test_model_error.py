@@ -1,0 +1,158 @@
+"""The model's own error: ratios by closed forms, predictions by refits, intervals by draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.model_error import LinearFit, birge_ratios, missed_modes
+from modetune.core.updating.parameter_steps import parameter_covariance
+from modetune.core.updating.trust import too_many_missed
+
+
+def fitted(
+    sensitivity: Floats,
+    values: Floats,
+    variances: Floats | None = None,
+    classes: Integers | None = None,
+    groups: Integers | None = None,
+    prior: Floats | None = None,
+) -> LinearFit:
+    """Return a weighted least-squares fit; by default each row is a mode, all of one class."""
+    n, n_parameters = sensitivity.shape
+    variances = np.ones(n) if variances is None else variances
+    known = np.zeros((n_parameters, n_parameters)) if prior is None else prior
+    weighted = sensitivity / variances[:, None]
+    change = np.linalg.solve(sensitivity.T @ weighted + known, weighted.T @ values)
+    modes = np.arange(n) if groups is None else groups
+    return LinearFit(
+        sensitivity,
+        values - sensitivity @ change,
+        variances,
+        1.0 / variances,
+        known,
+        np.zeros(n, np.int64) if classes is None else classes,
+        modes,
+        np.full(n, -1),
+        tuple(f"mode {number + 1}" for number in range(int(modes.max()) + 1)),
+    )
+
+
+def errors(fit: LinearFit, ratios: Floats) -> Floats:
+    prior = fit.known if fit.known.any() else None
+    variances = ratios**2 * fit.variances
+    return np.sqrt(np.diag(parameter_covariance(fit.sensitivity, variances, fit.weights, prior)))
+
+
+def test_the_ratio_of_repeated_values_is_that_of_their_scatter() -> None:
+    """One parameter, the mean of eight values: expected is n - 1, less two for the few."""
+    values = np.array([4.0, -3.0, 5.0, -6.0, 2.0, 1.0, -4.0, 1.0])
+    ratio = np.sqrt(np.sum((values - values.mean()) ** 2) / (8 - 1 - 2))
+    ratios = birge_ratios(fitted(np.ones((8, 1)), values))
+    np.testing.assert_allclose(ratios, ratio, rtol=1e-12)
+    # Values that scatter less than their deviations do not make the errors smaller.
+    np.testing.assert_array_equal(birge_ratios(fitted(np.ones((8, 1)), 0.01 * values)), 1.0)
+
+
+def test_a_class_without_a_degree_of_freedom_takes_the_ratio_of_all() -> None:
+    sensitivity = np.zeros((9, 2))
+    sensitivity[:8, 0], sensitivity[8, 1] = 1.0, 1.0
+    values = np.array([4.0, -3.0, 5.0, -6.0, 2.0, 1.0, -4.0, 1.0, 7.0])
+    classes = np.array([0] * 8 + [1])
+    ratios = birge_ratios(fitted(sensitivity, values, classes=classes))
+    assert ratios[8] == pytest.approx(ratios[0], rel=1e-12)
+    assert ratios[0] > 3.0
+
+
+def test_the_prior_is_not_scaled() -> None:
+    """Without a measured effect a parameter keeps the deviation that it had before the test."""
+    rng = np.random.default_rng(2)
+    sensitivity = np.column_stack([rng.normal(size=12), np.zeros(12)])
+    fit = fitted(sensitivity, 20.0 * rng.normal(size=12), prior=np.diag([25.0, 25.0]))
+    ratios = birge_ratios(fit)
+    assert (ratios > 10.0).all()
+    assert errors(fit, ratios)[1] == pytest.approx(0.2, rel=1e-12)
+
+
+def test_a_left_out_mode_is_predicted_as_a_fit_without_it_does() -> None:
+    """Against refits: six modes of a frequency and four shape entries, three parameters."""
+    rng = np.random.default_rng(5)
+    sensitivity, values = rng.normal(size=(30, 3)), 3.0 * rng.normal(size=30)
+    groups, classes = np.arange(30) % 6, np.repeat([0, 1], [6, 24])
+    variances = np.where(classes == 0, 1.0, 4.0)
+    fit = fitted(sensitivity, values, variances, classes, groups)
+    found, n = missed_modes(fit)
+    assert n == 6
+    expected = []
+    for mode in range(6):
+        own = groups == mode
+        others = fitted(sensitivity[~own], values[~own], variances[~own], classes[~own])
+        ratios = birge_ratios(others)
+        scaled = [ratios[classes[~own] == kind][0] for kind in classes[own].tolist()]
+        change = np.linalg.lstsq(
+            sensitivity[~own] / np.sqrt(variances[~own])[:, None],
+            values[~own] / np.sqrt(variances[~own]),
+            rcond=None,
+        )[0]
+        spread = parameter_covariance(
+            sensitivity[~own], ratios**2 * variances[~own], 1.0 / variances[~own]
+        )
+        covariance = sensitivity[own] @ spread @ sensitivity[own].T
+        covariance += np.diag(variances[own] * np.array(scaled) ** 2)
+        miss = values[own] - sensitivity[own] @ change
+        if miss @ np.linalg.solve(covariance, miss) > 11.0705:  # chi-square, 5 values, 5 %
+            expected.append(f"mode {mode + 1}")
+    assert found == tuple(expected)
+
+
+def test_a_mode_that_alone_determines_a_parameter_is_not_predicted() -> None:
+    sensitivity = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    assert missed_modes(fitted(sensitivity, np.array([0.1, -0.1, 0.2, 5.0])))[1] == 3
+
+
+@pytest.mark.parametrize("model_error", [0.0, 3.0])
+def test_nineteen_of_twenty_intervals_contain_the_truth(model_error: float) -> None:
+    """Eight frequencies, 96 shape entries, three parameters; the model errs by its own amount.
+
+    2,000 draws put the share of 6,000 intervals within 0.6 % (two deviations); half of all
+    intervals by noise alone miss the truth where the model errs.
+    """
+    rng = np.random.default_rng(11)
+    classes, groups = np.repeat([0, 1], [8, 96]), np.r_[np.arange(8), np.repeat(np.arange(8), 12)]
+    inside = np.zeros(2)
+    n_draws = 2000
+    for _ in range(n_draws):
+        sensitivity = rng.normal(size=(104, 3))
+        # The truth is no change at all.
+        values = rng.normal(size=104) * np.sqrt(1.0 + model_error**2)
+        fit = fitted(sensitivity, values, classes=classes, groups=groups)
+        change = np.linalg.lstsq(sensitivity, values, rcond=None)[0]
+        for place, ratios in enumerate((np.ones(104), birge_ratios(fit))):
+            inside[place] += np.mean(np.abs(change) < 1.96 * errors(fit, ratios)) / n_draws
+    noise, whole = inside
+    assert 0.94 < whole < 0.98
+    assert noise < 0.55 if model_error else noise > 0.94
+
+
+def test_errors_are_withheld_where_modes_contradict_each_other_beyond_chance() -> None:
+    """A shape's error common to all sensors of a mode is no noise of single entries."""
+    rng = np.random.default_rng(3)
+    groups = np.repeat(np.arange(6), 20)
+    withheld = {}
+    for common in (0.0, 8.0):
+        found = []
+        for _ in range(100):
+            sensitivity = rng.normal(size=(120, 4))
+            values = rng.normal(size=120) + common * np.repeat(rng.normal(size=6), 20)
+            missed, n = missed_modes(fitted(sensitivity, values, groups=groups))
+            found.append(too_many_missed(len(missed), n))
+        withheld[common] = np.mean(found)
+    assert withheld[0.0] <= 0.05
+    # The ratio of the class covers a part of such an error.
+    assert withheld[8.0] >= 0.3
+
+
+def test_one_missed_mode_among_few_is_chance() -> None:
+    assert [too_many_missed(k, 4) for k in (0, 1, 2)] == [False, False, True]
+    assert [too_many_missed(k, 20) for k in (4, 5)] == [False, True]
