@@ -147,7 +147,7 @@ def test_what_does_not_fit_in_arrays_is_told_at_once(
     with pytest.raises(modetune.ModetuneError) as told:
         modetune.load(given)
     assert "model: the stiffness is not symmetric" in str(told.value)
-    assert "mode_shapes has 3 rows, and dofs names 2" in str(told.value)
+    assert "mode_shapes has 3 rows but dofs has 2 entries" in str(told.value)
 
 
 def test_reprs_are_a_few_lines() -> None:

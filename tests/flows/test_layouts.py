@@ -52,8 +52,8 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (7, "226e9721fb5d")),
-        (SCREENING.kind, SCREENING.format, (6, "102ac7d6aa9f")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (9, "547b6fa51a7b")),
+        (SCREENING.kind, SCREENING.format, (7, "0750f1b2a126")),
         (SCATTER.kind, SCATTER.format, (2, "abe5ba0d35f1")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
         (store.KINDS["modal"], store.FORMAT, (4, "9910e8ca9987")),

@@ -322,7 +322,7 @@ def test_a_campaign_file_needs_neither_test_nor_parameters(strip: Path) -> None:
 
 
 def test_modes_by_matrices_are_refused_before_there_is_a_test(strip: Path) -> None:
-    with pytest.raises(CampaignError, match=r"line 2: eigensolver pardiso: before there is a test"):
+    with pytest.raises(CampaignError, match=r"line 2: eigensolver pardiso: without a test"):
         load_campaign(strip, ["model.eigensolver=pardiso"], ModelFile)
 
 

@@ -549,7 +549,7 @@ BAD: list[tuple[str, str, int, str]] = [
     ),
     ("part: m,", "part: m, configurations: [full],", 11, "there is no configuration full"),
     ("part: m,", "part: payload, configurations: [empty],", 11, "payload"),
-    ("update: {", "update: {start: last, ", 12, "for campaigns with one configuration"),
+    ("update: {", "update: {start: last, ", 12, "needs a single configuration"),
     ("report:", "run: {engine: dask}\nreport:", 13, "`engine: local` or `slurm`"),
     ("name: payload\n", "name: payload\ntest: {modes: empty.csv}\n", 1, "both `model` and `test`"),
 ]

@@ -242,7 +242,7 @@ def test_it_is_told_that_dampers_of_the_deck_take_the_place_of_the_tests_ratios(
     def told() -> str:
         return " ".join(run_command(tmp_path, "check", str(path), "--no-run").stderr.split())
 
-    said = "count in response functions, so the ratios of the test's modes do not"
+    said = "use the deck's dampers and loss factors instead of the test's damping ratios"
     assert said not in told()
     more = "dampers:\n  d2: {between: [m1, m2], viscous: 3.0}\n"
     deck_file = tmp_path / "chain.yaml"

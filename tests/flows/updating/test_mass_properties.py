@@ -129,7 +129,7 @@ def test_a_start_beyond_a_limit_comes_back_into_it(tmp_path: Path, watcher: Any)
     ("mass", "said"),
     [
         ("{target: 4.95}", "`target` and `deviation` belong together"),
-        ("{target: 5.2, deviation: 0.1, limits: [4.0, 5.0]}", "outside of the limits"),
+        ("{target: 5.2, deviation: 0.1, limits: [4.0, 5.0]}", "outside the limits"),
         ("{limits: [5.0, 4.0]}", "must be below the upper"),
         ("{weight: 2}", "give a `target`"),
         ("{target: -1.0, deviation: 0.1}", "must be above zero"),

@@ -169,7 +169,7 @@ def test_two_configurations_share_what_strains_tell(
     [
         ('"2-6"', '"2-666"', "the model has no node 666"),
         ("modes: {1:", "modes: {7:", "the test has no mode 7"),
-        ('"2-6", ', "", "mode 1 has 4 strains, and there are 3 gauges"),
+        ('"2-6", ', "", "mode 1 has 4 strains for 3 gauges"),
         ("scale: own", "scale: shapes", "no shapes to define the scale"),
         ("modes: {1:", "modes: {x:", "'x' is not the number of a mode"),
     ],

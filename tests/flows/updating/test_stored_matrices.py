@@ -653,7 +653,7 @@ def test_confirming_by_matrices_where_modes_are_the_solvers_own_is_refused_or_to
     bar_file: Path, tmp_path: Path, watcher: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     by = "update.confirm=matrices"
-    with pytest.raises(CampaignError, match=r"line \d+: update\.confirm: matrices confirms modes"):
+    with pytest.raises(CampaignError, match=r"line \d+: `update\.confirm: matrices` needs modes"):
         load_campaign(bar_file, [by, "model.eigensolver=solver"])
     settings = (by, "model.eigensolver=auto", "update.max_iterations=0")
     update(bar_file, tmp_path, watcher, *settings)  # of so few elements, by itself

@@ -379,7 +379,7 @@ def test_waiting_for_another_campaigns_job_can_be_stopped(bench: Any) -> None:
     job = Job(campaign.parameters.values(campaign.parameters.initial), MatrixAnalysis())
     with engine.store.lock(engine.key(job), lambda: None):
         threading.Timer(0.2, engine.cancelled.set).start()
-        with pytest.raises(SolverCancelled, match="another one runs the same job"):
+        with pytest.raises(SolverCancelled, match="another campaign ran the same job"):
             engine.solve(job)
 
 
