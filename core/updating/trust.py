@@ -75,6 +75,8 @@ ALL = 0.05
 NOTHING = 1e-6
 #: Changes below it are shown as none: two decimals of a per cent.
 SHOWN = 5e-5
+#: Misfits below it are not shown in digits.
+ROUNDED = 1e-3
 #: Two changes whose amounts differ by less are called equal.
 EQUAL = 0.05
 
@@ -610,7 +612,9 @@ def _worse_sentence(spread: StartSpread) -> list[str]:
     more = ", ..." if len(misfits) > LISTED else ""
     what = "worse local minimum has" if len(numbers) == 1 else "worse local minima have"
     own = float(spread.misfits[spread.chosen])
-    return [f"{len(numbers)} {what} a misfit of {shown}{more} (the answer {own:.3g})."]
+    # Below it only rounding is left, which differs between machines.
+    lowest = f"{own:.3g}" if own >= ROUNDED else f"below {ROUNDED:g}"
+    return [f"{len(numbers)} {what} a misfit of {shown}{more} (the answer {lowest})."]
 
 
 def _values(names: list[str], values: list[float]) -> str:
