@@ -4,9 +4,11 @@
 
 Noisy twins: parameters are drawn as uncertain as the campaign says they are, frequencies and shapes
 as uncertain as it says they were measured, and all else is left at its default. A line a structure
-tells the share of 95 % intervals (1.96 standard errors beside the printed value) that hold the
-truth, of each parameter the least and the most and over all the mean, how many updates ended
-where they began, and how many were accused of a model-form error, which the structures do not have.
+shows the share of printed 95 % intervals (the value plus and minus 1.96 standard errors) that
+contain the truth: the least and the most of any parameter, and the mean. Then come the shares of
+updates that ended where they began, that suspect a model-form error, which no structure has, and
+that withhold their errors; and of the p-values of the test for a model-form error the Kolmogorov
+distance from even ones, and the share below 0.01.
 
 Exact twins: how many came to the truth, were called trusted elsewhere, and were accused. Structures
 with modes at one frequency are among them.
@@ -156,9 +158,12 @@ EXACT = ("chain", "mechanism", "polar_masses", "assembly")
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """How the update of a twin ended; held: (n_parameters,), whether the interval has the truth."""
+    """How the update of a twin ended; held: (n_parameters,), whether the interval has the truth;
+    withheld: whether no interval is printed."""
 
     held: tuple[bool, ...]
+    withheld: bool
+    p_value: float
     found: bool
     trusted: bool
     accused: bool
@@ -258,6 +263,8 @@ def update_twin(model: Model, seed: int, noise: bool) -> Twin:
     verdict, apart = record_verdict(record), np.abs(record.updated - truth)
     return Twin(
         held=tuple((apart <= INTERVAL * record.standard_errors).tolist()),
+        withheld=record.trust is not None and record.trust.withheld,
+        p_value=np.nan if verdict is None else verdict.form.p_value,
         found=bool((apart <= FOUND).all()),
         trusted=record.trust is not None and record.trust.verdict == "trusted",
         accused=verdict is not None and verdict.form.suspected,
@@ -289,12 +296,15 @@ def exact_twins(family: str, n: int, seed: int, settings: dict[str, Any]) -> lis
 
 
 def coverage_line(name: str, twins: Sequence[Twin]) -> str:
-    held = 100.0 * np.mean([twin.held for twin in twins], axis=0)
+    held = 100.0 * np.mean([twin.held for twin in twins if not twin.withheld], axis=0)
+    known = [twin.p_value for twin in twins if np.isfinite(twin.p_value)]
+    distance = stats.kstest(known, "uniform").statistic if known else np.nan
     return (
         f"{name:14}{len(twins):6d}{held.min():9.1f}{held.max():8.1f}{held.mean():8.1f}"
         f"{_share([twin.iterations == 0 for twin in twins]):14.1f}"
         f"{_share([twin.accused for twin in twins]):10.1f}"
-        f"{_share([twin.trusted for twin in twins]):10.1f}"
+        f"{_share([twin.withheld for twin in twins]):11.1f}{distance:10.3f}"
+        f"{_share([p < 0.01 for p in known]) if known else np.nan:11.1f}"
         f"{np.mean([twin.iterations for twin in twins]):12.1f}"
     )
 
@@ -314,7 +324,7 @@ def _share(said: Sequence[bool]) -> float:
 
 HEADS = (
     f"{'noisy twins':14}{'':6}{'least %':>9}{'most %':>8}{'mean %':>8}{'ended at 0 %':>14}"
-    f"{'accused %':>10}{'trusted %':>10}{'iterations':>12}",
+    f"{'accused %':>10}{'withheld %':>11}{'distance':>10}{'p < 0.01 %':>11}{'iterations':>12}",
     f"{'exact twins':14}{'':6}{'at truth %':>12}{'wrong trusted %':>17}{'accused %':>10}"
     f"{'iterations':>12}",
 )

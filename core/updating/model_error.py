@@ -22,8 +22,8 @@ itself determines a parameter are left out: those with an eigenvalue of
 
     1 - W_g^(1/2) S_g (S^T W S + P)^-1 S_g^T W_g^(1/2)
 
-below LOOSE. Where more than a fifth of the modes, and more than one, miss their own 95 % interval,
-no standard error describes the parameters.
+below LOOSE. Where more than a fifth of the modes miss their own 95 % interval, and more than
+chance explains, no standard error describes the parameters.
 """
 
 from __future__ import annotations

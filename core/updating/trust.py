@@ -39,6 +39,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, ParameterSet
@@ -55,6 +56,8 @@ NO_DOUBT = {"uncertain", "alike"}
 MEANINGLESS = 3.0
 #: Share of left-out modes that may miss their 95 % intervals; beyond it errors are withheld.
 MISSES = 0.2
+#: ... and probability below which such a number is no chance.
+CHANCE = 0.025
 #: Standard errors of the least misfit within which updating ended there.
 THERE = 0.3
 #: ... and beyond which values are not called trusted, if they move by more than NEGLIGIBLE.
@@ -261,8 +264,9 @@ class Trust:
 
 def too_many_missed(n_missed: int, n_predicted: int) -> bool:
     """Return whether so many left-out modes miss their 95 % intervals that no standard error
-    describes the parameters. Of a few modes one may miss by chance."""
-    return n_missed > max(1.0, MISSES * n_predicted)
+    describes the parameters: more than a fifth, and more than chance leaves likely."""
+    chance = float(scipy.special.bdtrc(n_missed - 1.0, n_predicted, 0.05)) if n_missed else 1.0
+    return n_missed > MISSES * n_predicted and chance < CHANCE
 
 
 def with_spread(trust: Trust, spread: StartSpread) -> Trust:

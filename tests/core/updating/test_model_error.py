@@ -136,14 +136,14 @@ def test_nineteen_of_twenty_intervals_contain_the_truth(model_error: float) -> N
 
 
 def test_errors_are_withheld_where_modes_contradict_each_other_beyond_chance() -> None:
-    """A shape's error common to all sensors of a mode is no noise of single entries."""
+    """An error common to all entries of a mode, which its parameters move together, is no noise."""
     rng = np.random.default_rng(3)
     groups = np.repeat(np.arange(6), 20)
     withheld = {}
     for common in (0.0, 8.0):
         found = []
         for _ in range(100):
-            sensitivity = rng.normal(size=(120, 4))
+            sensitivity = np.repeat(rng.normal(size=(6, 2)), 20, axis=0)
             values = rng.normal(size=120) + common * np.repeat(rng.normal(size=6), 20)
             missed, n = missed_modes(fitted(sensitivity, values, groups=groups))
             found.append(too_many_missed(len(missed), n))
@@ -153,6 +153,10 @@ def test_errors_are_withheld_where_modes_contradict_each_other_beyond_chance() -
     assert withheld[8.0] >= 0.3
 
 
-def test_one_missed_mode_among_few_is_chance() -> None:
-    assert [too_many_missed(k, 4) for k in (0, 1, 2)] == [False, False, True]
-    assert [too_many_missed(k, 20) for k in (4, 5)] == [False, True]
+@pytest.mark.parametrize(
+    ("n", "least"), [(2, 2), (3, 2), (5, 2), (6, 3), (10, 3), (20, 5), (40, 9)]
+)
+def test_a_few_missed_modes_are_chance(n: int, least: int) -> None:
+    """The binomial distribution rules few modes, the share of a fifth many."""
+    assert [too_many_missed(k, n) for k in (least - 1, least)] == [False, True]
+    assert not too_many_missed(0, 0)

@@ -123,7 +123,9 @@ def test_a_refused_licence_is_waited_for_and_its_words_are_the_campaign_s(
     with pytest.raises(LicenceDenied, match=r"(?s)shaftline got no licence.*TOKEN POOL EMPTY"):
         model_modes(load_campaign(file), {})
     assert runs(file) > 1
-    with pytest.raises(CampaignError, match=r"licences has the unknown name shaft; .* command, shaftline"):
+    with pytest.raises(
+        CampaignError, match=r"licences has the unknown name shaft; .* command, shaftline"
+    ):
         load_campaign(shaft(("run: {", "run: {licences: {shaft: 1}, ")))
 
 
