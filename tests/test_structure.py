@@ -135,7 +135,8 @@ FLOWS = (
     ("server",),
     ("studies",),
     ("updating",),
-    ("report", "jobs"),
+    ("diagnosis", "jobs"),
+    ("report",),
     ("campaign",),
     ("responses",),
 )

@@ -22,7 +22,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import RIGID_MODES
 from modetune.flows.campaign.schema import ModelCheck
 from modetune.flows.campaign.units import KILOGRAMS, METRES, Units, unit_doubt
-from modetune.flows.studies.check.findings import MODEL, Finding
+from modetune.flows.diagnosis.findings import MODEL, Finding
 from modetune.flows.updating.mode_source import CaseState
 from modetune.flows.updating.reduced_model import ByMatrices
 

@@ -13,7 +13,7 @@ from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.trust import NOTHING, UNSEEN_SHARE
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.solvers import untested_capabilities
-from modetune.flows.studies.check.findings import PARAMETERS, Finding
+from modetune.flows.diagnosis.findings import PARAMETERS, Finding
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
 #: A parameter with less of the strain energy in every used mode cannot be found from them.

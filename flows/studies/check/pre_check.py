@@ -22,10 +22,19 @@ from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
+from modetune.flows.diagnosis.findings import MODEL, PAIRING, TEST, Finding, Level, worst
+from modetune.flows.diagnosis.measured_modes import data_findings
+from modetune.flows.diagnosis.pairing import (
+    ModePreview,
+    margin_findings,
+    pairing_findings,
+    preview,
+    uncertain_findings,
+    unmeasured,
+)
+from modetune.flows.diagnosis.sensors import sensor_findings, suspected_sensors
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solve_jobs
-from modetune.flows.studies.check.findings import MODEL, PAIRING, TEST, Finding, Level, worst
-from modetune.flows.studies.check.measured_modes import data_findings
 from modetune.flows.studies.check.model import (
     ModelFacts,
     mass_findings,
@@ -33,14 +42,6 @@ from modetune.flows.studies.check.model import (
     model_facts,
     rigid_findings,
     size_findings,
-)
-from modetune.flows.studies.check.pairing import (
-    ModePreview,
-    margin_findings,
-    pairing_findings,
-    preview,
-    uncertain_findings,
-    unmeasured,
 )
 from modetune.flows.studies.check.parameters import (
     EnergyShare,
@@ -51,7 +52,6 @@ from modetune.flows.studies.check.parameters import (
     joined_values,
     loose_findings,
 )
-from modetune.flows.studies.check.sensors import sensor_findings, suspected_sensors
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.mode_source import campaign_analysis

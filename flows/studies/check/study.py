@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.diagnosis.findings import Finding
     from modetune.flows.report.ci_files import CheckOutcome
-    from modetune.flows.studies.check.findings import Finding
     from modetune.flows.studies.check.model import ModelFacts
     from modetune.flows.studies.check.pre_check import PreCheckReport
     from modetune.flows.updating.baseline import Band
@@ -211,7 +211,7 @@ def _sizes(campaign: Campaign) -> list[str]:
 
 
 def _tables(report: PreCheckReport) -> list[Table]:
-    from modetune.flows.studies.check.pairing import ModePreview
+    from modetune.flows.diagnosis.pairing import ModePreview
 
     modes = table_of("Modes before updating", report.modes, ModePreview)
     return [modes, _energy_table(report)]
@@ -283,8 +283,8 @@ def _compared(
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     """The findings of the pre-check, for CI: only errors fail."""
+    from modetune.flows.diagnosis.pairing import ModePreview
     from modetune.flows.report.ci_files import CheckItem, CheckOutcome
-    from modetune.flows.studies.check.pairing import ModePreview
 
     said = [(item.subject, item.level, _finding(item)) for item in report.findings]
     remarks = tuple(

@@ -10,9 +10,9 @@ from modetune.core.errors import ModesError, NotStored
 from modetune.core.storage.keys import Json
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.diagnosis.pairing import first_pairs, mac_table
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.jobs.job import Job
-from modetune.flows.studies.check.pairing import first_pairs, mac_table
 from modetune.flows.studies.view.changes import Change, Part
 from modetune.flows.updating.mode_source import campaign_analysis
 

@@ -9,8 +9,8 @@ import pytest
 
 import modetune
 from modetune.core.algebra import eigen, factor_room, pardiso
+from modetune.flows.diagnosis.findings import Finding
 from modetune.flows.studies.check import model
-from modetune.flows.studies.check.findings import Finding
 from tests.adapters.mystran_decks import frame
 from tests.adapters.solved import needs_ccx, needs_mystran
 from tests.flows.studies.test_condensation import STRIP, measured_of

@@ -29,9 +29,9 @@ from modetune.core.correlation.pairing import (
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.core.near_names import listed
+from modetune.flows.diagnosis.findings import MODES, PAIRING, Finding
+from modetune.flows.diagnosis.measured_modes import ALIKE
 from modetune.flows.report.tables import Column
-from modetune.flows.studies.check.findings import MODES, PAIRING, Finding
-from modetune.flows.studies.check.measured_modes import ALIKE
 
 #: Below it a pair is doubtful.
 WEAK_MAC = 0.6

@@ -13,7 +13,7 @@ import numpy as np
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
 from modetune.core.near_names import listed
-from modetune.flows.studies.check.findings import TEST, Finding
+from modetune.flows.diagnosis.findings import TEST, Finding
 
 #: Off the diagonal of the auto-MAC: above it the sensors hardly distinguish two modes.
 ALIKE = 0.8

@@ -15,9 +15,9 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, common
 from modetune.core.near_names import listed
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.mapping import CHOICE, REASONS, SensorRow
-from modetune.flows.studies.check.findings import SENSORS, Finding
-from modetune.flows.studies.check.measured_modes import sensor_name
-from modetune.flows.studies.check.pairing import ModePreview
+from modetune.flows.diagnosis.findings import SENSORS, Finding
+from modetune.flows.diagnosis.measured_modes import sensor_name
+from modetune.flows.diagnosis.pairing import ModePreview
 
 #: Readers of test files begin a note of something doubtful with it.
 DOUBT = "doubtful:"

@@ -1,0 +1,1 @@
+"""What is wrong with a test or a model that disagree: `modetune check`, and updates that fail."""
