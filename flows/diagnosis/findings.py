@@ -1,4 +1,4 @@
-"""What a pre-check finds: a sentence on what is doubtful or wrong, where, and what helps."""
+"""What is found of a test and a model: what is doubtful or wrong, where, and what helps."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ class Finding:
     what: str
     where: str = ""
     remedy: str = ""
+
+    @property
+    def text(self) -> str:
+        """The finding in a sentence, without its level."""
+        where = f"{self.where}: " if self.where else ""
+        return f"{where}{self.what}{f'; {self.remedy}' if self.remedy else ''}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,8 +177,6 @@ def pairing_findings(
 ) -> Iterator[Finding]:
     """Report doubtful pairs. highest_hz: of the computed elastic modes."""
     rules = rules or PairRules()
-    factor = list(_factor(modes))
-    yield from factor
     for mode in modes:
         where = f"test mode {mode.mode}"
         if mode.mode not in rules.by_hand and mode.judged_mac < LOST_MAC:
@@ -199,7 +197,7 @@ def pairing_findings(
             )
         far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
         certain = np.isfinite(mode.mac) or mode.mode in rules.by_hand
-        if ((far and certain) or abs(mode.error) > LARGE_ERROR) and not factor:
+        if (far and certain) or abs(mode.error) > LARGE_ERROR:
             what = f"{mode.computed_hz:.4g} Hz computed, {mode.test_hz:.4g} Hz measured: "
             what += f"{100 * mode.error:+.0f} %"
             if far:
@@ -230,9 +228,13 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
     )
 
 
-def _factor(modes: tuple[ModePreview, ...]) -> Iterator[Finding]:
-    """Report whether all frequencies are off by the factor of a wrong unit."""
-    ratios = np.array([mode.test_hz / mode.computed_hz for mode in modes])
+def factor_findings(test: MeasuredModes, elastic: ModeSet) -> Iterator[Finding]:
+    """Report whether all frequencies are off by the factor of a wrong unit.
+
+    elastic: computed modes as the test's sensors see them. The parameters' bounds rule out no pair
+    here. Raises ModesError as `first_pairs`.
+    """
+    ratios = np.array([mode.test_hz / mode.computed_hz for mode in preview(test, elastic)])
     if ratios.size < 2:
         return
     middle = float(np.median(ratios))

@@ -39,6 +39,7 @@ from modetune.core.updating.responses.response import (
 )
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.case import Case, node_base, side_by_side
+from modetune.flows.diagnosis.pairing import factor_findings
 
 #: Most points that modes are tracked from: the nearest of that many is near, and they take memory.
 MOST_KNOWN = 400
@@ -238,6 +239,8 @@ def refuse_uncertain(
 ) -> None:
     """Raise UncertainPairs where there are such."""
     found = uncertain_pairs(test, computed, pairing, rules)
+    for wrong_unit in factor_findings(test, computed) if found else ():
+        raise UncertainPairs(f"{wrong_unit.text} (no shapes were measured, only the order pairs)")
     if found:
         said = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
         raise UncertainPairs(

@@ -43,6 +43,8 @@ from modetune.core.updating.sensitivity import ModeDerivatives, stack_derivative
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.matrix_plan import unsuitable
+from modetune.flows.diagnosis.causes import cause_sentences, causes
+from modetune.flows.diagnosis.findings import Finding
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.execution import Done, Work
@@ -556,12 +558,14 @@ class ModeRequest:
         try:
             part = self.compared(key, modal, before)
         except LostMode as error:
-            if self.widen(error, modal.modes.n_modes):
+            found = causes(state.case, modal.elastic) if before is None else ()
+            wrong = any(item.level == "wrong" for item in found)
+            if not wrong and self.widen(error, modal.modes.n_modes):
                 return None
             if isinstance(error, NotAmongComputed):
                 raise
-            if before is not None or not state.case.rules.drop:
-                raise _lost(error) from error
+            if wrong or before is not None or not state.case.rules.drop:
+                raise _lost(error, found) from error
             part = self.compared(key, modal, before, drop=True)
         if before is None:
             _warn_dropped(state.case, part.pairing)
@@ -575,11 +579,13 @@ class ModeRequest:
         return state.compared(self.theta, key, modal, before, state.finder.name, drop)
 
 
-def _lost(error: LostMode) -> LostMode:
-    """Return the error with the campaign keys that resolve it."""
+def _lost(error: LostMode, found: Sequence[Finding]) -> LostMode:
+    """Return the error with its possible causes and the campaign keys that resolve it."""
+    wrong = "".join(f"{item.text}. So " for item in found if item.level == "wrong")
+    others = " ".join(("", *cause_sentences([item for item in found if item.level != "wrong"])))
     return LostMode(
-        f"{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its partner "
-        "by hand (see `modetune check`)"
+        f"{wrong}{error}; `test.unmatched: drop` updates without it, and `test.pairs` names its "
+        f"partner by hand (see `modetune check`){'.' if others else ''}{others}".rstrip()
     )
 
 

@@ -50,11 +50,12 @@ from modetune.core.storage.campaign_record import (
 )
 from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
-from modetune.core.updating.trust import StartSpread, with_spread
+from modetune.core.updating.trust import StartSpread, with_concerns, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.campaign.units import unit_doubt
+from modetune.flows.diagnosis.causes import cause_sentences, causes
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
@@ -292,6 +293,7 @@ class Updating:
             end = self._from(tried)
         held = held_out(self.evaluator, self.kept[0], self.kept[-1])
         record = checked(replace(self._record(end.status, end.reason), held_out=held))
+        record = self._with_causes(record)
         if tried is not None and record.trust is not None:
             spread = tried.spread(record)
             record = replace(record, trust=with_spread(record.trust, spread))
@@ -300,6 +302,14 @@ class Updating:
             record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
         self.save(record)
         return record
+
+    def _with_causes(self, record: CampaignRecord) -> CampaignRecord:
+        """Return the record with what may be wrong where a model-form error is suspected."""
+        if record.trust is None or record.trust.times_noise == 0.0:
+            return record
+        parts = zip(self.evaluator.used, self.kept[-1].parts, strict=True)
+        found = [item for at, part in parts for item in causes(at.case, part.field)]
+        return replace(record, trust=with_concerns(record.trust, *cause_sentences(found)))
 
     def _from(self, tried: FoundMinima) -> End:
         """Continue from the best end."""

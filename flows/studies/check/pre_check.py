@@ -26,6 +26,7 @@ from modetune.flows.diagnosis.findings import MODEL, PAIRING, TEST, Finding, Lev
 from modetune.flows.diagnosis.measured_modes import data_findings
 from modetune.flows.diagnosis.pairing import (
     ModePreview,
+    factor_findings,
     margin_findings,
     pairing_findings,
     preview,
@@ -167,14 +168,16 @@ def judged(
     found += margin_findings(test, elastic, result.modes.n_modes < n_asked)
     try:
         every = preview(test, elastic, campaign.case.rules)
-        found += uncertain_findings(test, elastic, campaign.case.rules)
+        wrong_unit = tuple(factor_findings(test, elastic))
+        found += wrong_unit or uncertain_findings(test, elastic, campaign.case.rules)
     except ModesError as error:
         return PreCheckReport((*found, PAIRING.wrong(str(error))), facts, runs=runs)
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
     paired = np.array([mode.elastic_mode - 1 for mode in modes], dtype=np.int64)
     shares = shares_in(paired) if shares_in else energy_shares(result, paired)
-    found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
-    if shapes:
+    if not wrong_unit:  # no pair within the bounds is right then
+        found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
+    if shapes and not wrong_unit:
         found += suspected_sensors(test, campaign.case.sensors, result.elastic, every)
     found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
     found += energy_findings(campaign, result, [mode.mode for mode in modes], shares)

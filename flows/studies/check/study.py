@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modetune.flows.campaign.campaign import Campaign
-    from modetune.flows.diagnosis.findings import Finding
     from modetune.flows.report.ci_files import CheckOutcome
     from modetune.flows.studies.check.model import ModelFacts
     from modetune.flows.studies.check.pre_check import PreCheckReport
@@ -131,7 +130,7 @@ def check(
 
 def _judged(campaign: Campaign, report: PreCheckReport) -> StudyResult:
     """The outcome of a pre-check."""
-    wrong = [_finding(item) for item in report.findings if item.level == "wrong"]
+    wrong = [item.text for item in report.findings if item.level == "wrong"]
     return StudyResult(
         report,
         _end(report),
@@ -191,7 +190,7 @@ def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
     show([head, *_tables(report)], console)
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
         level = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
-        said = Text(_finding(item))
+        said = Text(item.text)
         if not console.is_terminal:  # there a finding stays one line
             show([level + said], console)
             continue
@@ -286,7 +285,7 @@ def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     from modetune.flows.diagnosis.pairing import ModePreview
     from modetune.flows.report.ci_files import CheckItem, CheckOutcome
 
-    said = [(item.subject, item.level, _finding(item)) for item in report.findings]
+    said = [(item.subject, item.level, item.text) for item in report.findings]
     remarks = tuple(
         f"{level}: {subject}: {text}" for subject, level, text in said if level != "good"
     )
@@ -296,8 +295,3 @@ def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     )
     table = table_of("Modes before updating", report.modes, ModePreview)
     return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, items)
-
-
-def _finding(item: Finding) -> str:
-    where = f"{item.where}: " if item.where else ""
-    return f"{where}{item.what}{f'; {item.remedy}' if item.remedy else ''}"
