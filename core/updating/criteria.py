@@ -38,7 +38,7 @@ def frequency_errors(measured: ModeSet, computed: ModeSet, pairing: Pairing) -> 
 
 
 def agrees(errors: Floats, mac: Floats, tolerances: Tolerances) -> bool:
-    """Whether e1 holds. errors, mac: (n_pairs,); a MAC of NaN stands for no measured shape."""
+    """Whether e1 holds. errors, mac: (n_pairs,); a MAC is NaN without a measured shape."""
     shapes = mac[np.isfinite(mac)]
     return bool((np.abs(errors) <= tolerances.frequency).all() and (shapes >= tolerances.mac).all())
 

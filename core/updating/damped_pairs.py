@@ -15,7 +15,7 @@ from modetune.core.modes import Integers
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.responses.response import MatricesAt, ModelState
 
-#: Modes beside those of the pairs that the first guess is made of.
+#: Number of modes in the first guess, in addition to those of the pairs.
 MORE_MODES = 4
 
 

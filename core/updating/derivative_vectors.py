@@ -1,4 +1,4 @@
-"""What modes become beside a parameter set: vectors that hold their derivatives.
+"""Modes near a parameter set: vectors that span their derivatives.
 
 They are the answers of a shifted Nelson's equation, whose factors are those of the eigensolution:
 
@@ -40,8 +40,8 @@ NEGLIGIBLE = 1e-6
 #: Relative distance of eigenvalues below which what two modes take of each other is left out of
 #: second derivatives.
 CLOSE = 1e-3
-#: Forces of hundreds of columns are mixed to so many at random: the space of what these move holds
-#: the strongest directions of all (Halko, Martinsson and Tropp 2011).
+#: Hundreds of force columns are mixed at random into this number: the responses to the mixtures
+#: span the strongest directions of all responses (Halko, Martinsson and Tropp 2011).
 MOST_FORCES = 600
 #: Rows of forces that are changed at once, so that they stay in the cache.
 ROWS_AT_ONCE = 16384
@@ -88,7 +88,7 @@ def derivative_answers(
     mass: sparse.csr_array,
     inverse: Inverse,
 ) -> Answers:
-    """Vectors beside the known modes that hold their derivatives, and the forces they answer.
+    """Return vectors that span the derivatives of the modes outside them, and their forces.
 
     theta: (n_parameters,); mass: (n, n), the upper triangle there. With a thickness those of
     rigid modes come too, as the faces' arms of a rotation change, and second derivatives.
@@ -113,7 +113,7 @@ def derivative_answers(
             into[rows] += own @ mixing
         end = MOST_FORCES if mixed else end + kept.size
     acting = _leave_outside(modes, forces[:, :end])
-    # The last one tells the shift of whoever gave the inverse: M phi moves phi / (lambda - s).
+    # The last column shows the shift s of the given inverse: M phi moves phi / (lambda - s).
     forces[:, end] = modes.weighted[:, modes.first]
     vectors = np.asarray(inverse(forces[:, : end + 1]))
     gap = 1.0 / float(forces[:, end] @ vectors[:, end])
@@ -183,7 +183,7 @@ def _second_forces(
 ) -> Floats:
     """Forces of the second derivatives of modes with respect to one parameter, (n, n_of).
 
-    acting: X^T (dK - lambda dM) phi, (n_modes, n_of); outside: what answers the rest of it.
+    acting: X^T (dK - lambda dM) phi, (n_modes, n_of); outside: the responses to its remainder.
     """
     lam, phi = modes.eigenvalues[of], modes.shapes[:, of]
     slopes = acting[of, np.arange(of.size)]

@@ -19,19 +19,19 @@ This is a function of the pencil, whose derivative has divided differences in pl
     e_rs = (d_r - d_s) / (tau_r - tau_s),
 
 entry by entry. Where modes of one damping ratio come together e has the limit
-2 zeta (1 - s (tau_r + tau_s)) / (u_r + u_s), so repeated modes need no care of their own.
+2 zeta (1 - s (tau_r + tau_s)) / (u_r + u_s), so repeated modes need no special case.
 
 Dampers and loss factors, C and H, join modes of their own numbers and others. There Z takes the
 place of the diagonal 1 / g,
 
     y_j = Z^-1 psi_j,   Z = 1 / g + i w Psi^T C Psi + i Psi^T H Psi,
 
-i w Psi^T dC Psi + i Psi^T dH Psi comes to what stands in the brackets, and A^-1 C phi, A^-1 H phi
-of the modes of the band join the residual vectors: what dampers move beyond these modes.
+i w Psi^T dC Psi + i Psi^T dH Psi is added to the brackets, and A^-1 C phi, A^-1 H phi
+of the modes of the band join the residual vectors: the motion from dampers beyond these modes.
 
-Next to a set the same Ritz vectors do, with the answers of its modes to each parameter beside
-them: a pencil of some hundred unknowns for all values of the parameters (`near`), whose H and dH
-are those of the set there and err by the square of a change beside it.
+Near a set the same Ritz vectors serve, together with the derivatives of its modes by each
+parameter: a pencil of some hundred unknowns for all values of the parameters (`near`). Its H and
+dH are exact at the set and err by the square of a change from it.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import REPEATED, Floats, Integers, close_sets
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 
-#: Modes are taken up to so many times the highest frequency: a mode there adds to the flexibility
-#: what its residual vectors have to (2 / 3)^4 of its amplitude and better.
+#: Modes are taken up to this multiple of the highest frequency: residual vectors replace a mode
+#: there with an error of at most (2 / 3)^4 of its amplitude.
 REACH = 1.5
 #: Shift over the square of the highest circular frequency: far below what residual vectors are of,
 #: and far above the rounding of rigid modes.
@@ -248,7 +248,7 @@ def _lowest(here: MatrixResult, beyond: float, n_least: int, like: FrfModes | No
 
 
 def _beside(basis: Floats, block: Floats, shifted: sparse.csr_array) -> Floats:
-    """What a block has beside a basis that is orthonormal to A, likewise orthonormal."""
+    """Return the part of a block outside a basis orthonormal to A, likewise orthonormal."""
     lengths = np.sqrt(np.sum(block * (shifted @ block), axis=0))
     own = block / np.where(lengths > 0.0, lengths, 1.0)
     for _ in range(2):

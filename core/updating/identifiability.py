@@ -1,4 +1,4 @@
-"""What a test can tell of the parameters, whatever their values turned out to be.
+"""What a test can determine of the parameters, whatever their updated values.
 
 Everything follows from the weighted, prior-scaled sensitivity
 
@@ -16,12 +16,13 @@ a D^-2, thesis (52)) moves from the prior towards the values that the test alone
 
 the resolution matrix (Menke 2018, ch. 4; Tarantola 2005, 3.3). Its diagonal is the share of each
 parameter's answer that comes from the test: 1 is the test alone, 0 the prior alone, and of two
-parameters that do the same each has half. Its trace is how many parameters the test tells.
+parameters with the same effect each has half. Its trace is the number of parameters that the test
+determines.
 
 Collinearity (Brun, Reichert and Kuensch 2001). With the columns of A brought to length one, the
 index of a subset K is 1 / sqrt(smallest eigenvalue of A_K^T A_K): how much of a change of one
-parameter the others of K can undo. It does not ask how exactly was measured, so it tells what a
-small fault of the model does to the answer. 1 is orthogonal; 5 to 20 is where authors draw a line.
+parameter the others of K can cancel. It ignores measurement accuracy, so it shows how strongly a
+small error of the model moves the answer. 1 is orthogonal; authors draw the line at 5 to 20.
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_steps import RANK_TOLERANCE
 
-#: A combination of which the test tells less than this share is unseen.
+#: A combination of which the test determines less than this share is unseen.
 SEEN = 0.5
 #: A parameter belongs to a combination where its part is at least this share of the largest.
 MEMBER = 0.3
 #: Smallest eigenvalue of a matrix of cosines that is more than rounding.
 ROUNDING = 1e-14
-#: Room below which a parameter stands on its bound.
+#: Distance below which a parameter is on its bound.
 STUCK = 1e-9
-#: Subsets of three are looked at up to so many parameters (161,700 of them), and pairs always.
+#: Number of parameters up to which subsets of three are examined (161,700); pairs always are.
 MOST_FOR_TRIPLES = 100
 #: Subsets that are kept, those with the largest index.
 KEPT = 50
@@ -85,7 +86,7 @@ class UnseenCombination:
 
     members: positions, the one with the largest part first; changes: (n_members,), of each
     relative to its own value, the first being 1; seen: standard deviations by which the
-    measurements move where the combination moves by one of its own.
+    measurements move if the combination moves by one standard deviation.
     """
 
     members: tuple[int, ...]
@@ -95,7 +96,7 @@ class UnseenCombination:
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What the test tells of the parameters.
+    """How far the test determines the parameters.
 
     singular_values: (n_parameters,), falling, of A; vectors: (n_parameters, n_parameters), its
     right singular vectors as columns; resolution: (n_parameters, n_parameters), R.
@@ -126,7 +127,7 @@ class Identifiability:
 
     @property
     def n_told(self) -> float:
-        """How many parameters the test tells: the trace of the resolution."""
+        """The number of parameters that the test determines: the trace of the resolution."""
         return float(np.trace(self.resolution))
 
 
@@ -156,11 +157,11 @@ def identifiability(
     precision: Floats | None = None,
     apart: Sequence[int] = (),
 ) -> Identifiability:
-    """What measurements tell of parameters. Raises CampaignError.
+    """Return how far measurements determine parameters. Raises CampaignError.
 
     sensitivity: (n_residuals, n_parameters); weights: (n_residuals,), emphasis over variance;
-    deviations, values: (n_parameters,), standard deviations beforehand and where the parameters
-    stand; factor: a, on the parameters' weights; precision: (n_parameters, n_parameters), these
+    deviations, values: (n_parameters,), standard deviations of the prior and present values;
+    factor: a, on the parameters' weights; precision: (n_parameters, n_parameters), these
     where they are not D^-2; apart: zones of fields, of which thousands of combinations are unseen,
     so that none is looked for.
     """
@@ -196,7 +197,7 @@ def remaining_step(
     lower: Floats,
     upper: Floats,
 ) -> Floats:
-    """How far the least misfit still lies from where the parameters stand, (n_parameters,), linear.
+    """Return the linear change from the present parameters to the minimum misfit, (n_parameters,).
 
     residual: (n_residuals,), measured minus computed, at the parameters' values; lower, upper:
     (n_parameters,), bounds of the change; all else as for `identifiability`. Combinations that the
@@ -221,7 +222,7 @@ def _unseen(scaled: Floats, space: Floats, relative: Floats) -> tuple[UnseenComb
 
     space: (n_parameters, n_unseen), orthonormal; relative: deviations over values. Singular
     vectors of like singular values are mixed at will, so a basis is taken in which each of as
-    many parameters as there are combinations stands in one alone.
+    many parameters as there are combinations occurs in one alone.
     """
     n_unseen = space.shape[1]
     if n_unseen == 0:

@@ -23,7 +23,7 @@ class ModesForecast:
     """Seconds either way is expected to take, and the solver runs behind them.
 
     jobs: for the matrices; runs: of the solver's own modes and their differences; run_s: of one of
-    them; measured: whether a run of the model was seen to take that, else its size tells.
+    them; measured: whether the time is that of a run; else it follows from the model's size.
     """
 
     jobs: int
@@ -59,7 +59,7 @@ class ModalResult:
     groups: names of the element groups whose strain energies are known.
     strain_energies: (n_groups, n_modes) of the mass-normalised modes; total_strain_energy:
     (n_modes,) of the whole model. Both in the deck's units of (rad/s)^2 for unit modal mass.
-    mass: total mass in the deck's unit, NaN where the solver does not tell. n_rigid: how many of
+    mass: total mass in the deck's unit, NaN if the solver does not print it. n_rigid: how many of
     the first modes are rigid (core/algebra/rigid_modes), which whoever read the modes has counted.
     """
 
@@ -175,7 +175,7 @@ Result = (
 def finite(result: Result) -> Result:
     """A result as it is, all of its numbers finite. Raises ModesError.
 
-    Strain energies and mass may be NaN, where the solver does not tell them.
+    Strain energies and mass are NaN if the solver does not print them.
     """
     if not all(np.isfinite(numbers).all() for numbers in _numbers(result)):
         raise ModesError("the result holds values that are not finite numbers")

@@ -49,7 +49,7 @@ from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_steps import StepProblem, parameter_step
 
-#: Pairs are tried among so many parameters, the best by themselves.
+#: Number of parameters, the best single ones, among which pairs are tried.
 MOST_FOR_PAIRS = 40
 
 

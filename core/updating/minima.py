@@ -8,8 +8,8 @@ infinite.
 Gauss-Newton matrix, d = -(A + a diag A)^-1 g on the free parameters, and a falls or rises tenfold.
 A parameter is free unless the gradient pushes it against its bound.
 
-**Saddles.** A is never negative, so only the full Hessian H tells a minimum from a saddle. It
-follows from central differences of g along the softest directions of A, where second-order terms
+**Saddles.** A is never negative, so only the full Hessian H distinguishes a minimum from a saddle.
+It follows from central differences of g along the softest directions of A, where second-order terms
 of the residual outweigh A first. Along a direction v of negative curvature F falls on both sides,
 F(x + t v) = F(x) + t^2 v^T H v / 2 + ...; the lowest of a few points on each side starts a new
 search. On the ridge of a symmetric structure these lead to both mirrored minima.
@@ -45,7 +45,7 @@ RELAXATIONS = 8
 #: Iterations of polishing, and the expected decrease of the misfit that ends it, also as a share.
 POLISHINGS, GAIN, SHARE = 40, 1e-8, 1e-5
 #: Curvature of the misfit by which a direction counts as undetermined: a change by a factor e moves
-#: the misfit by less than this, which nothing notices beside RISE.
+#: the misfit by less than this, which is negligible compared with RISE.
 FLAT = 1e-3
 #: Step of the differences of the gradient, a relative change: far above rounding of the gradient,
 #: far below the changes by which curvature varies.

@@ -7,10 +7,10 @@ within their bounds can do, in the linear model, is
 
 Where the model has the truth among its parameter values, chi^2 is what measurement noise leaves:
 of chi-square distribution with n - n_shapes - r degrees of freedom, r the rank of the columns of S
-whose parameters do not stand on a bound (Shapiro 1988 for the bounds). A shape counts one less
+whose parameters are not on a bound (Shapiro 1988 for the bounds). A shape counts one less
 than its sensors, because it is compared after scaling.
-A chi^2 that noise exceeds with a probability p below the level says that something is wrong that
-no parameter can mend: the model's form, the test, or the deviations that the campaign states.
+If noise exceeds chi^2 with a probability p below the level, something is wrong that no parameter
+can correct: the model's form, the test, or the deviations that the campaign states.
 
 The linear model is good to first order only. A change by the share d_j bends an effect of
 stiffness or mass by about the same share, and a sensitivity that was computed where parameters
@@ -23,8 +23,8 @@ itself changes fast, so half of a shape's turn |S d| is added likewise, spread o
 After updating d is small, all this is nothing, and the test is a verdict. Before, it is a
 forecast, and a mild one: what it finds is there, what it does not find may come to light later.
 
-What is left of each entry is told in its own standard deviations, z_left / sqrt(V (1 - h)), h the
-leverage by which the fit follows that entry (Belsley, Kuh and Welsch 1980).
+The remaining residual of each entry is given in its standard deviations, z_left / sqrt(V (1 - h)),
+with h the leverage of that entry in the fit (Belsley, Kuh and Welsch 1980).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from modetune.core.updating.parameter_steps import (
 
 #: Share of good models that are suspected all the same.
 LEVEL = 0.01
-#: Times noise from which a forecast tells a fault from what its linear model leaves out.
+#: Multiple of noise above which a forecast suspects an error beyond those of its linear model.
 FORECAST = 1.5
 #: Times noise below which the stated deviations are too large, where noise seldom leaves so little.
 OVERSTATED = 0.7
@@ -109,8 +109,8 @@ def model_form(
     which shape an entry is of, from 0, or -1 for frequencies, as all are if left out; moved:
     (n_parameters,), how far parameters went since the sensitivity was computed, nowhere if left
     out; least: see ModelForm. prior: (n_parameters, n_parameters), weights that hold parameters to
-    their initial values, from which they stand off by offset (n_parameters,), where more are fitted
-    than a test tells (fields): the fit is held by them too, and takes fewer degrees of freedom.
+    their initial values, from which they differ by offset (n_parameters,), if more are fitted than
+    a test determines (fields): the weights hold the fit too, and it takes fewer degrees of freedom.
     """
     if variances.shape != residual.shape or not (variances > 0.0).all():
         raise CampaignError("each entry of the residual needs a variance above zero")
@@ -135,7 +135,7 @@ def model_form(
     dof = residual.size - n_shapes - round(fitted)
     directions = directions[:, told] if prior is None else directions[:, :0]
     leverage = np.sum(directions**2, axis=1)
-    # An entry that the fit follows wholly tells nothing; what is left of it is rounding.
+    # An entry that the fit follows completely has only rounding left.
     loose = np.sqrt(np.maximum(1.0 - leverage, 0.0))
     own = left / np.sqrt(variances)
     return ModelForm(

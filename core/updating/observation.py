@@ -28,7 +28,7 @@ class Observation:
 
     matrix: (n_wanted, n_equations), CSR; a row is empty where the degree of freedom is held in
     place (its shapes are zero) or unknown. unknown: (n_wanted,), those that the matrices do not
-    tell: dependent in a way that is not followed, or of a kind that is not known.
+    give: dependent in a way that is not followed, or of an unknown kind.
     """
 
     matrix: sparse.csr_array
@@ -64,7 +64,7 @@ def from_rows(rows: list[Weights | None], n_equations: int) -> Observation:
 def observe(
     matrices: MatrixResult, wanted_nodes: Integers, wanted_components: Integers
 ) -> Observation:
-    """Where each name stands once, as an equation or as dependent on some.
+    """Return an observation of names, each an equation or dependent on some.
 
     What has neither is held in place. wanted_nodes, wanted_components: (n_wanted,).
     """
@@ -92,7 +92,7 @@ def named_rows(
 
 
 def nothing_known(n_wanted: int, n_equations: int) -> Observation:
-    """An observation that tells nothing."""
+    """Return an observation of unknown rows."""
     return from_rows([None] * n_wanted, n_equations)
 
 

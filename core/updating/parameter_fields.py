@@ -1,6 +1,6 @@
 """Fields: a parameter an element or zone of a part, held together by their neighbourhood.
 
-A test of some modes tells few combinations of hundreds of values, so a field is the answer of a
+A test of some modes determines few combinations of hundreds of values, so a field solves a
 regularised problem (Tikhonov and Arsenin 1977; for damage Titurus and Friswell 2008): with
 x = theta - theta_0 the changes of its zones, s the deviation of one and G the differences between
 neighbours,
@@ -16,12 +16,12 @@ of a Gauss-Markov field, Rue and Held 2005); l is the length in zones over which
 The last two are the norms of length one, by weights that follow x from step to step (iteratively
 reweighted least squares, Rodriguez and Wohlberg 2009): what each step brings down majorises them.
 
-What cannot be told. One zone alone, changed by the c_j that fits best, leaves
+What the test cannot distinguish. One zone alone, changed by the c_j that fits best, leaves
 
     chi_j^2 = |d|^2_W - (S_j^T W d)^2 / (S_j^T W S_j),   d = z + S x,
 
 of what the test says of the change from the start. Places that leave no more than `AS_WELL` above
-the least are answers that the test cannot tell apart: zones that are joined are one place. A zone
+the least are answers that the test cannot distinguish: zones that are joined are one place. A zone
 whose change by its deviation moves the measured values by less than one standard deviation of the
 test is not seen.
 
@@ -47,11 +47,11 @@ from modetune.core.modes import Floats, Integers
 Smoothing = Literal["neighbours", "total_variation", "sparse"]
 #: Changes, in deviations, below which the weights of the norms of length one no longer grow.
 LEAST_CHANGE = 1e-2
-#: Two standard deviations: places within so much of the least chi^2 are told as answers alike.
+#: Two standard deviations: places within this of the least chi^2 are equally good answers.
 AS_WELL = 4.0
 #: Zones up to which a field is one dense problem a step.
 MOST_ZONES = 2000
-#: So many places, and zones of one, are named.
+#: Number of places, and of zones of one, that are named.
 NAMED = 6
 
 
@@ -109,7 +109,7 @@ def prior_precision(fields: Sequence[Field], changes: Floats, deviations: Floats
 
 @dataclass(frozen=True, slots=True)
 class FieldAnswer:
-    """What a test says of a field, beside values and standard errors of its parameters.
+    """What a test shows of a field, in addition to values and standard errors of its parameters.
 
     field: its zones; strengths: (n_zones,), standard deviations of the test by which a zone's
     change by its deviation is seen; alone: (n_zones,), chi^2 that is left where one zone changes
@@ -184,14 +184,14 @@ def _places(field: Field, misfits: Floats, seen: NDArray[np.bool_]) -> tuple[Int
 
 
 def _told(found: FieldAnswer, names: Sequence[str], changes: Floats, noise: float) -> FieldAnswer:
-    """With sentences: doubts of what cannot be told, and what the test says."""
+    """Return the answer with its sentences: what the test shows, and what it cannot distinguish."""
     name, n = found.field.name, len(names)
     unseen = np.flatnonzero(found.strengths < 1.0)
     doubts = []
     if unseen.size:
         doubts.append(
             f"{name}: {unseen.size} of {n} zones move no measured value by more than its "
-            f"deviation ({_named(names, unseen)}): what stands there is their neighbours'."
+            f"deviation ({_named(names, unseen)}): their values follow from their neighbours."
         )
     if found.started <= noise:
         doubts.append(
@@ -204,7 +204,7 @@ def _told(found: FieldAnswer, names: Sequence[str], changes: Floats, noise: floa
         each = "; or ".join(_place(found, names, place) for place in found.places[:NAMED])
         more = len(found.places) - NAMED
         doubts.append(
-            f"{name}: the test cannot tell {len(found.places)} places apart, each of which alone "
+            f"{name}: the test cannot distinguish {len(found.places)} places, each of which alone "
             f"explains it as well: {each}{f'; and {more} more' if more > 0 else ''}."
         )
     top = int(np.argmax(np.abs(changes)))
@@ -221,7 +221,7 @@ def _told(found: FieldAnswer, names: Sequence[str], changes: Floats, noise: floa
 
 
 def _place(found: FieldAnswer, names: Sequence[str], place: Integers) -> str:
-    """The best zone of a place, its change, and how many beside it do as well."""
+    """Return the best zone of a place with its change, and the equally good ones."""
     first = int(place[0])
     beside = f" (or {_named(names, place[1:])})" if place.size > 1 else ""
     return f"{names[first]} by {100 * found.changes[first]:+.3g} %{beside}"

@@ -262,7 +262,7 @@ def fit_powers(
 
     differences: upper triangles, (n, n), of samples at these values of the parameter less the
     base at the reference value; as many as powers, none of which is 0. Raises ModelError where
-    the values do not tell the powers apart.
+    the values do not separate the powers.
     """
     if not len(differences) == len(values) == len(powers):
         raise ModelError(f"{len(powers)} powers are fitted to {len(differences)} matrices")
@@ -271,7 +271,7 @@ def fit_powers(
     if not condition < HOPELESS_FIT:
         raise ModelError(
             f"matrices at the relative values {', '.join(f'{value:g}' for value in values)} do "
-            f"not tell the powers {', '.join(map(str, powers))} apart (condition {condition:.1e})"
+            f"not separate the powers {', '.join(map(str, powers))} (condition {condition:.1e})"
         )
     pattern = union(differences)
     samples = np.zeros((len(values), pattern.nnz))
@@ -479,7 +479,7 @@ def _owners(nodes: Integers, node_groups: Sequence[frozenset[int]]) -> Integers:
         if shared.size:
             raise ModelError(
                 f"parameters {owner[shared[0]]} and {place} of one matrix job share node "
-                f"{nodes[shared[0]]}: their changes cannot be told apart"
+                f"{nodes[shared[0]]}: their changes cannot be separated"
             )
         owner[inside] = place
     return owner

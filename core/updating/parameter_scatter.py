@@ -28,8 +28,8 @@ drawn in turn (Gibbs):
     R | theta               one variance for all values, inverse gamma, where it is not given
 
 The two last but one are the prior of Huang and Wand (2013): deviations half-t of 2 degrees of
-freedom and scale A_i, correlations uniform; with n tests the answer hardly depends on it. R is told
-by the tests only where there are more values than parameters that scatter.
+freedom and scale A_i, correlations uniform; with n tests the answer hardly depends on it. The
+tests determine R only if there are more values than parameters that scatter.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ from modetune.core.modes import Floats, Integers
 
 #: Rounds, and the change of deviations, relative, that ends them.
 ROUNDS, SAME = 30, 1e-4
-#: A variance of the measurement that stands for none, in that of what was measured.
+#: Variance of an exact measurement, relative to that of the measured values.
 EXACT = 1e-6
-#: Singular values of S below this share of the largest: the tests do not tell them apart.
+#: Share of the largest singular value of S below which the tests do not determine a direction.
 RANK = 1e-6
 
 Model = Callable[[Floats], Floats]
@@ -121,7 +121,7 @@ def match_scatter(
 
     model: values (n, m) at sets (n, n_parameters); reach: (n_parameters,), of differences for its
     slopes; start: (n_parameters,); draws: (count, n_free), by which the model is sampled, by
-    perturbation without. Raises CampaignError where the tests cannot tell so many parameters.
+    perturbation without. Raises CampaignError if the tests cannot determine so many parameters.
     """
     mu, free = start.copy(), before.free
     sigma = np.zeros((free.size, free.size))
@@ -137,7 +137,7 @@ def match_scatter(
         )
         if free.size > own.shape[0] or seen[-1] < RANK * seen[0]:
             raise CampaignError(
-                f"{own.shape[0]} measured values do not tell the covariance of {free.size} "
+                f"{own.shape[0]} measured values do not determine the covariance of {free.size} "
                 "parameters that differ from test to test"
             )
         mean, covariance = _moments(model, mu, sigma, own, free, draws)
@@ -215,8 +215,8 @@ def lack_of_fit(tests: TestScatter, found: ParameterScatter, n_told: int) -> flo
 
 @dataclass(frozen=True, slots=True)
 class ScatterDraws:
-    """Draws of what the tests tell: means (n, n_parameters), covariances (n, n_free, n_free) of
-    those that scatter, noise (n,), variance of the measurement itself."""
+    """Draws from the posterior: means (n, n_parameters), covariances (n, n_free, n_free) of the
+    parameters that scatter, noise (n,), the variance of the measurement itself."""
 
     means: Floats
     covariances: Floats

@@ -90,13 +90,13 @@ BROKEN, KEPT = 0.25, 0.75
 HELD = 0.99
 #: The damping's own factor falls to this: a hundredth of what is known beforehand.
 LEAST_DOUBT = 1e-2
-#: Share of the other equations in one that stands for a limit: rounding and conditioning of the
+#: Share of the other equations in one that represents a limit: rounding and conditioning of the
 #: least-squares problem keep their digits.
 OTHERS = 1e-10
 #: How far inside a limit a step ends, as a share of the change that it asks of the value: fields of
 #: a deck may have six digits alone.
 INSIDE = 1e-4
-#: Rounds that steps which bend get beside those in which a limit is met.
+#: Number of rounds for curved steps, in addition to those in which a limit is met.
 BENDS = 4
 
 
@@ -239,8 +239,8 @@ def _in_box(problem: StepProblem, rows: Floats, target: Floats, scale: Floats) -
 def least_squares_in(lower: Floats, upper: Floats, rows: Floats, target: Floats) -> Floats:
     """The x (n,) within bounds for which |rows x - target| is least.
 
-    Who stands on a bound is guessed from where the others leave it, until nobody wants to leave
-    (primal-dual active sets: Hintermueller, Ito and Kunisch 2002): with that x is the answer.
+    The set of parameters on a bound is guessed and corrected until none leaves its bound
+    (primal-dual active sets: Hintermueller, Ito and Kunisch 2002); then x is the solution.
     Guesses that do not settle are left to SciPy's bounded-variable method, which takes a tenth of
     a second to import.
     """
@@ -368,7 +368,7 @@ def parameter_covariance(
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Where a set stands and how its parameters are counted.
+    """A parameter set, and the scale of its parameters in a step.
 
     theta: (n_parameters,), relative values; logarithmic: (n_parameters,), whether a parameter is
     stepped in its logarithm.

@@ -91,7 +91,7 @@ Weight = Callable[[Floats], Floats]
 MOST_VECTORS = 150
 #: The reduced model's own shift in first elastic eigenvalues, where its maker's is nearer to zero.
 LEAST_SHIFT = -1e-3
-#: Squared length below which a direction of the scaled vectors is not a direction of its own.
+#: Squared length below which a direction of the scaled vectors depends on the others.
 RANK = 1e-8
 #: Squared length below which what an old basis has outside the new one is left out.
 OLD_RANK = 1e-8
@@ -103,7 +103,7 @@ LOADS = 24
 LOOKED_AT, SOLUTIONS = 48, 24
 #: Numbers of all basis vectors at most, and vectors, whatever the model's size.
 NUMBERS, LEAST_ROOM, MOST_ROOM = 120_000_000, 150, 400
-#: What shapes lack is never told below this.
+#: Least stated error of shapes.
 LEAST = 1e-12
 
 
@@ -343,7 +343,7 @@ def reduce(
 
 
 def unreduced(affine: ParameterMatrices, shift: float, observer: sparse.csr_array) -> ReducedModel:
-    """A small model as it is, every unknown a vector of its own: exact for all parameter values.
+    """Return a small model unreduced, one vector per unknown: exact for all parameter values.
 
     shift: (rad/s)^2, below zero; observer: (n_rows, n).
     """
@@ -368,7 +368,7 @@ def projected_model(
 def _basis(modes: KnownModes, answers: Answers, room: int) -> Floats:
     """The known modes and what answers have outside them, (n, r) in C order, the strongest first.
 
-    room: how many directions it takes beside the modes.
+    room: number of directions in addition to the modes.
     """
     known = modes.eigenvalues.size
     gram = answers.vectors.T @ answers.forces
@@ -462,8 +462,8 @@ def with_directions(
 
     weight: for the product of vectors; basis: (n, r); blocks: (n, k) each; room: how many of their
     directions the basis takes; inner: (r, r), products of the basis with itself, where they are
-    known. Vectors are weighted a few at once, and rows of the blocks combined a few at once:
-    beside what is given and what is found hardly anything is in memory.
+    known. Vectors are weighted and rows of the blocks combined a few at a time, so that memory
+    holds little more than the input and the result.
     """
     if inner is None:
         inner = _products(weight, [basis], basis)
@@ -594,7 +594,7 @@ def reduce_over(
 
     thetas: (n_sets, n_parameters), as of `range_sets`; begin: a reduced model around one set, and
     its basis (n, r); n_modes: the lowest ones wanted, rigid ones included; observer: (n_rows, n);
-    tell: hears of full solutions, how many so far and what frequencies were off by at the last;
+    tell: called with the number of full solutions and the frequency error of the last one;
     keep: gives the full solution at a set, by solving or from before; solver: one that need not
     count, as others confirm the worst set, and may have ordered the model's unknowns already.
     Sets that leave parts loose are passed over. Where the number of full solutions runs out the
@@ -648,7 +648,7 @@ def reduce_over(
 
 
 def leading(whole: ReducedModel, size: int) -> ReducedModel:
-    """The model on the first so many vectors of its basis."""
+    """Return the model on the first `size` vectors of its basis."""
     return of_vectors(whole, np.arange(size))
 
 

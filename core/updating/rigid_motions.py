@@ -1,7 +1,7 @@
 """Unit translations and rotations R of a model at the equations of its stored matrices.
 
 Where equations are displacements of nodes, R follows from their places. Where elements are
-expanded to nodes of their own (shells and beams of ccx), the nodes of the mesh are sums W u of
+expanded to new nodes (shells and beams of ccx), the nodes of the mesh are sums W u of
 equations, and R is the motion without strain that these have: the least of u^T K u with W u =
 R_nodes. It is found from the augmented matrix, whatever soft springs to the ground add to K:
 
@@ -31,7 +31,7 @@ from modetune.core.updating.observation import Observation
 Observe = Callable[[MatrixResult, Integers, Integers], Observation]
 #: Forces on unknowns inside of elements, over the sum of their parts: fourteen digits cancel.
 NO_FORCE = 1e-8
-#: Motions of nodes are met to this share of the largest, in at most so many steps: each is better
+#: Motions of nodes are met to this share of the largest, in at most this many steps: each is better
 #: by the stiffness to the ground over that of the elements.
 MET, STEPS = 1e-11, 60
 
@@ -61,13 +61,13 @@ def rigid_motions(
 
     translations: those alone are right; rotations need the nodes' places. observe: degrees of
     freedom in terms of the equations; these are at the nodes themselves where it is left out.
-    Unknowns that are inside of elements move with no motion of their own. Raises ModesError where
-    the motions of some equations are not known.
+    Unknowns inside elements follow their nodes. Raises ModesError if the motions of some equations
+    are unknown.
     """
     nodes, components = matrices.nodes, matrices.components
     _, first = np.unique(np.stack([nodes, components]), axis=1, return_index=True)
     named = np.zeros(nodes.size, dtype=bool)
-    named[first] = True  # a name stands once more where elements have unknowns of their own
+    named[first] = True  # a name occurs twice if elements have unknowns beyond the nodes
     rigid = np.zeros((nodes.size, 6))
     if translations and mesh.nodes.size == 0:  # matrices alone have no places
         rigid[named] = rigid_body_shapes(np.zeros((named.sum(), 3)), components[named])
@@ -130,8 +130,8 @@ def _completed(matrices: MatrixResult, mesh: Mesh, observe: Observe) -> RigidMot
         factors = factorise(sparse.csr_array(stiffness + scale * (rows.T @ rows)))
     except ModelError as error:
         raise ModesError(
-            "the nodes of the model do not tell how all of it moves as a rigid body, as those of "
-            f"one straight beam do not tell its roll ({error}); use a solver whose equations are "
+            "the nodes of the model do not determine all of its rigid-body motions, as those of "
+            f"one straight beam leave its roll open ({error}); use a solver whose equations are "
             "at nodes (MYSTRAN), or leave mass properties out"
         ) from error
     wanted = _at_nodes(mesh, nodes[known], components[known])
@@ -143,7 +143,7 @@ def _completed(matrices: MatrixResult, mesh: Mesh, observe: Observe) -> RigidMot
 def _motion(
     factors: Factorisation, rows: sparse.csr_array, scale: float, wanted: Floats, forces: Floats
 ) -> Floats:
-    """u with W u = wanted (n_rows, 6) and K u = forces (n_equations, 6) beside what W carries."""
+    """Return u with W u = wanted (n_rows, 6) and K u = forces (n_equations, 6) outside W's rows."""
     carried = np.zeros_like(wanted)
     found = factors.solve(forces + rows.T @ (scale * wanted))
     largest = max(float(np.abs(wanted).max(initial=0.0)), float(np.abs(found).max(initial=0.0)))
@@ -154,6 +154,6 @@ def _motion(
         carried += scale * missed
         found = factors.solve(forces + rows.T @ (scale * wanted + carried))
     raise ModesError(
-        "supports are too stiff to tell the structure's rigid motions; free it (on soft springs, "
-        "as the test was), or leave mass properties out"
+        "supports are too stiff to determine the structure's rigid motions; free it (on soft "
+        "springs, as in the test), or leave mass properties out"
     )

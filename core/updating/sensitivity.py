@@ -114,8 +114,8 @@ def nelson(
     derivatives are wanted; cluster_width: relative eigenvalue distance below which modes are
     solved for together (K - lambda M is close to singular there; the error made by taking them
     for equal is of the size of this distance). Returns derivatives of those modes and rows only.
-    Modes of exactly equal eigenvalue have no derivative of their own shape; theirs is the change
-    out of their common space. Raises ModesError where an eigenvalue is not finite.
+    Single modes of exactly equal eigenvalue have no derivative of shape; theirs is the change out
+    of their common space. Raises ModesError where an eigenvalue is not finite.
     Source: Nelson 1976; Dailey 1989 for the space orthogonal to a cluster.
     """
     if not np.isfinite(eigenvalues).all():
@@ -145,8 +145,8 @@ def _solve_shifted(
     """Solve (K - lam M) x = f for f without a part along the basis, which K - lam M cannot see.
 
     Nelson fixes, for each mode of the cluster, the unknown where it moves most; the equations of
-    these unknowns then hold by themselves. Unlike a shift of the eigenvalue this keeps the matrix
-    sparse and the answer exact.
+    these unknowns are then satisfied automatically. Unlike a shift of the eigenvalue this keeps the
+    matrix sparse and the answer exact.
     """
     fixed = _largest_rows(basis)
     keep = np.setdiff1d(np.arange(stiffness.shape[0]), fixed)
@@ -158,7 +158,8 @@ def _solve_shifted(
 
 
 def _largest_rows(basis: Floats) -> Integers:
-    """Rows that tell the columns of a basis apart best: pivots of an LU with complete choice."""
+    """Return the rows that separate the columns of a basis best: pivots of an LU with complete
+    pivoting."""
     work, rows = basis.copy(), []
     for _ in range(basis.shape[1]):
         row, column = np.unravel_index(int(np.argmax(np.abs(work))), work.shape)
@@ -175,7 +176,7 @@ def _inside_cluster(
     stiffness_change: sparse.csr_array,
     mass_change: sparse.csr_array,
 ) -> Floats:
-    """The part of d phi along the modes of its own cluster, itself included."""
+    """Return the part of d phi along the modes of the cluster, the mode itself included."""
     lam, phi = eigenvalues[mode], mode_shapes[:, mode]
     mass_part = mass_change @ phi
     force = stiffness_change @ phi - lam * mass_part

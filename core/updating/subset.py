@@ -1,4 +1,4 @@
-"""Choosing parameters: which columns of a sensitivity tell something that the others do not.
+"""Choosing parameters: columns of a sensitivity with an effect that the others do not have.
 
 All functions take the weighted sensitivity S: rows divided by the standard deviations of the
 measurements, columns multiplied by those of the parameters beforehand, so that an entry is how
@@ -77,7 +77,8 @@ class CollinearGroup:
     """Columns that say the same.
 
     members: positions, ascending. cosines: (n_members,), of each with the longest of them, signed:
-    parameters of one sign can be told only by their sum, of opposite signs by their difference.
+    the test determines only the sum of parameters of one sign, and the difference of parameters of
+    opposite signs.
     """
 
     members: tuple[int, ...]
@@ -169,7 +170,7 @@ def column_cosines(sensitivity: Floats) -> Floats:
 def collinear_groups(
     sensitivity: Floats, threshold: float = COLLINEAR
 ) -> tuple[CollinearGroup, ...]:
-    """Groups of columns that say the same, by their first member; columns by themselves are none.
+    """Return groups of columns with the same effect, by their first member; singles are none.
 
     sensitivity: (n_residuals, n_parameters), weighted; threshold: least |cosine| of two like
     columns. Raises CampaignError.

@@ -1,35 +1,36 @@
 """How far the answer of an updating can be trusted: flags, sentences, a verdict.
 
-A matched frequency proves little, so each parameter is asked questions, and each yes is a flag:
+A matched frequency proves little. Each parameter answers these questions, and each yes is a flag:
 
     missing     could its sensitivity not be computed?
-    on_bound    does it stand on a bound?
+    on_bound    is it on a bound?
     unseen      does less than a tenth of its value come from the test?
     prior       ... less than half?
-    collinear   is it part of a combination that the test cannot see (and less than 90 % its own)?
-    alike       does it act so much like one or two others that a small fault moves them against
-                each other (collinearity index 20 and more, the upper end of what Brun and others
-                2001 advise), although the test, taken at its word, tells them apart?
+    collinear   is it part of a combination that the test does not determine (and less than 90 %
+                determined itself)?
+    alike       is its effect so close to that of one or two others that a small error moves them
+                in opposite directions (collinearity index of at least 20, the upper limit of Brun
+                and others 2001), although the stated deviations separate them?
     far         is it more than three of its deviations away from the deck?
     starts      did updates from other starts end elsewhere, and fit as well?
     undetermined  is its standard error infinite, although no other flag doubts it?
-    uncertain   is its change smaller than its standard error? That doubts nothing: it says that
-                the deck's value fits as well.
+    uncertain   is its change smaller than its standard error? Then the deck's value fits as well,
+                which is no doubt.
 
 All but alike and uncertain put a parameter in doubt.
 
 The verdict. Not to be trusted: more than half of the parameters are in doubt, other starts fit as
 well with other values of parameters that nothing else puts in doubt, no degree of freedom is left
-(as many parameters as measured values can match any test) and no other start was tried, or what is
-left is more than three times what measurement noise explains, since standard errors mean nothing
-then. With reservations: any parameter in doubt or alike, a combination of parameters that the test
-cannot see, no degree of freedom left where other starts end at the same values, e1 not met, the
-least misfit more than two standard errors further on, or a concern: what was held out got worse, an
-error that no parameter can remove. Else trusted.
+(as many parameters as measured values can match any test) and no other start was tried, standard
+errors are withheld, or the remaining misfit is more than three times what noise explains. With
+reservations: any parameter in doubt or alike, a combination of parameters that the test does not
+determine, no degree of freedom left where other starts end at the same values, e1 not met, a
+minimum misfit more than two standard errors away, or a concern: held-out modes got worse, an error
+that no parameter can remove. Else trusted.
 
-Where updating ended. e1 ends it where the model is good enough, which may be well before the least
-misfit. The standard errors that are told hold at the values that are told: with C the covariance of
-the least misfit and d the way that is left to it, they are those of C + d d^T.
+Where updating ended. e1 ends it where the model is good enough, which may be well before the
+minimum misfit. The standard errors belong to the printed values: with C the covariance at the
+minimum and d the distance to it, they are those of C + d d^T.
 """
 
 from __future__ import annotations
@@ -47,34 +48,34 @@ from modetune.core.updating.identifiability import Identifiability, UnseenCombin
 from modetune.core.updating.parameter_steps import LCurve
 from modetune.core.updating.verdict import TrustVerdict
 
-#: Where updating ended: at the least misfit, before it where e1 is met, or where it is not.
+#: Where updating ended: at the minimum misfit, before it with e1 met, or before it without.
 Ended = Literal["least misfit", "good enough", "under way"]
 
 #: Flags that put no parameter in doubt.
 NO_DOUBT = {"uncertain", "alike"}
-#: What is left, over what noise explains, beyond which standard errors mean nothing.
+#: Remaining misfit, over what noise explains, beyond which no answer is trusted.
 MEANINGLESS = 3.0
 #: Share of left-out modes that may miss their 95 % intervals; beyond it errors are withheld.
 MISSES = 0.2
 #: ... and probability below which such a number is no chance.
 CHANCE = 0.025
-#: Standard errors of the least misfit within which updating ended there.
+#: Standard errors from the minimum misfit within which updating ended there.
 THERE = 0.3
 #: ... and beyond which values are not called trusted, if they move by more than NEGLIGIBLE.
 SHORT = 2.0
-#: A change below this share of the deck's value is not worth a word.
+#: A change below this share of the deck's value is not reported.
 NEGLIGIBLE = 0.01
-#: Shares of the test below which a parameter is unseen, known by the prior mainly, mixed up.
+#: Shares of the test below which a parameter is unseen, mainly the prior's, or collinear.
 UNSEEN_SHARE, HALF, SURE = 0.1, 0.5, 0.9
-#: Deviations from the deck beyond which a parameter stands for something else.
+#: Deviations from the deck beyond which a parameter may compensate for another error.
 FAR = 3.0
 #: Collinearity index at which subsets count as alike.
 ALIKE = 20.0
-#: So many names are told one by one.
+#: Number of names that are listed.
 LISTED = 6
-#: All are told where less of them is missing: what one decimal shows.
+#: All parameters count as determined if less than this is missing: the resolution of one decimal.
 ALL = 0.05
-#: Standard deviations of the test below which measured values do not change but for rounding.
+#: Standard deviations of the test below which a change of measured values is rounding.
 NOTHING = 1e-6
 #: Changes below it are shown as none: two decimals of a per cent.
 SHOWN = 5e-5
@@ -86,10 +87,10 @@ EQUAL = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ParameterTrust:
-    """What is to be said of one parameter.
+    """How far one parameter can be trusted.
 
-    test_share: 1 is the test alone, 0 the prior alone; flags: see the module; clauses: a half
-    sentence a flag. scale: what people read of a change by 1, None of a relative value.
+    test_share: 1 is the test alone, 0 the prior alone; flags: see the module; clauses: one for each
+    flag. scale: the printed number of a change by 1; None for a relative value.
     """
 
     name: str
@@ -166,14 +167,14 @@ class StartSpread:
 class Trust:
     """How far the parameters of an updating can be trusted.
 
-    agrees: whether e1 is met; remaining: (n_parameters,), how far the least misfit lies further
-    on, linear; freedom: degrees of freedom, the measured values that are left to judge by;
-    unseen: a sentence a combination that the test does not tell;
+    agrees: whether e1 is met; remaining: (n_parameters,), linear distance to the minimum misfit;
+    freedom: degrees of freedom left; unseen: a sentence for each combination that the test does
+    not determine;
     curve: the L-curve of the last step, None where there was none; regularisation: the factor that
     this step used; age: iterations since the sensitivity behind all this was computed; spread: of
-    several starts; concerns: sentences of others; notes: sentences that doubt nothing;
-    times_noise: how many times more is left than noise explains where a model-form error is
-    suspected, else 0; missed: names of the modes whose prediction from all other modes misses its
+    several starts; concerns: sentences on model and test; notes: sentences that raise no doubt;
+    times_noise: the remaining misfit over what noise explains, if a model-form error is suspected,
+    else 0; missed: names of the modes whose prediction from all other modes misses its
     95 % interval, of n_predicted.
     """
 
@@ -195,7 +196,7 @@ class Trust:
 
     @property
     def meaningless(self) -> bool:
-        """Whether so much is left that standard errors mean nothing."""
+        """Whether the remaining misfit excludes any trust."""
         return self.times_noise > MEANINGLESS
 
     @property
@@ -205,7 +206,7 @@ class Trust:
 
     @property
     def short(self) -> Floats:
-        """The way to the least misfit in standard errors of that, (n_parameters,)."""
+        """The distance to the minimum misfit in its standard errors, (n_parameters,)."""
         errors = np.array([item.standard_error for item in self.parameters])
         noise = np.array([item.repeatability for item in self.parameters])
         errors = np.where(np.isnan(errors), np.hypot(noise, self.remaining), errors)
@@ -223,7 +224,7 @@ class Trust:
 
     @property
     def too_short(self) -> bool:
-        """Whether the least misfit lies so far on that it matters."""
+        """Whether the distance to the minimum misfit matters."""
         return bool(((self.short > SHORT) & (np.abs(self.remaining) > NEGLIGIBLE)).any())
 
     @property
@@ -233,7 +234,7 @@ class Trust:
 
     @property
     def unchecked(self) -> bool:
-        """Whether nothing but the fit itself speaks for it, and any test can be fitted."""
+        """Whether only the fit supports the answer, and any test can be fitted."""
         return self.freedom <= 0 and self.untested
 
     @property
@@ -286,7 +287,7 @@ def with_spread(trust: Trust, spread: StartSpread) -> Trust:
 
 
 def with_concerns(trust: Trust, *concerns: str) -> Trust:
-    """With sentences of others that keep the answer from being trusted without reservations."""
+    """Return trust with concerns, which exclude trust without reservations."""
     return replace(trust, concerns=(*trust.concerns, *concerns))
 
 
@@ -300,7 +301,7 @@ def judge_parameters(
     missing: tuple[int, ...] = (),
     zones: Collection[int] = (),
 ) -> tuple[ParameterTrust, ...]:
-    """Flags and half sentences of each parameter.
+    """Return the flags and clauses of each parameter.
 
     updated, start, standard_errors, repeatability: (n_parameters,), relative to the deck, NaN where
     an error is withheld; missing: positions
@@ -330,7 +331,7 @@ def judge_parameters(
         if far > FAR and place not in zones:
             said["far"] = (
                 f"is {_change(scale, value - 1.0)} from {where}, {far:.1f} times the deviation it "
-                "was given: it may stand in for something else that is wrong"
+                "was given: it may compensate for another error"
             )
         if (
             not said
@@ -367,8 +368,8 @@ def _bound_clause(item: Parameter, value: float) -> dict[str, str]:
     for side, bound in bounds.items():
         if np.isclose(value, bound, atol=1e-9):
             return {
-                "on_bound": f"stands on its {side} bound ({item.shown(bound):g}): the number is "
-                "the bound's, not the test's"
+                "on_bound": f"is on its {side} bound ({item.shown(bound):g}), which determines its "
+                "value in place of the test"
             }
     return {}
 
@@ -376,30 +377,30 @@ def _bound_clause(item: Parameter, value: float) -> dict[str, str]:
 def _share_clause(
     share: float, mixed: list[str], like: list[str], moves: float, moved: str
 ) -> dict[str, str]:
-    """moves: of the measured values over its bounds, in standard deviations of the test; moved:
-    from its start, in words, "" where it stays."""
-    percent = f"({100 * share:.0f} % of its value is the test's)"
+    """Return the clause on the test's share. moves: of the measured values over its bounds, in
+    standard deviations of the test; moved: from its start, in words, "" if it stays."""
+    percent = f"(the test determines {100 * share:.0f} % of its value)"
     if mixed and share < SURE:
-        return {"collinear": f"cannot be told apart from {_listed(mixed)} {percent}"}
+        return {"collinear": f"cannot be separated from {_listed(mixed)} {percent}"}
     if share < UNSEEN_SHARE:
-        did = f"was moved by {moved}, which the test does not tell" * bool(moved)
+        did = f"was moved by {moved} without information from the test" * bool(moved)
         what = "no measured value changes" if moves < NOTHING else "measured values hardly change"
         return {
             "unseen": f"{did or 'stays at its start value'}: {what} with it (over its bounds by "
             f"{moves:.1g} standard deviations of the test)"
         }
     if share < HALF:
-        return {"prior": f"is known by the prior more than by the test {percent}"}
+        return {"prior": f"follows from the prior more than from the test {percent}"}
     if like:
         return {
-            "alike": f"acts almost like {_listed(like)}: a small error of the test or the "
-            "model moves them against each other"
+            "alike": f"has almost the same effect as {_listed(like)}: a small error of the test or "
+            "the model moves them in opposite directions"
         }
     return {}
 
 
 def _companions(groups: list[tuple[int, ...]]) -> dict[int, list[int]]:
-    """Of each member of a group of several, the others."""
+    """Return the other members of its groups for each member."""
     others: dict[int, set[int]] = {}
     for group in groups:
         if len(group) > 1:
@@ -409,7 +410,7 @@ def _companions(groups: list[tuple[int, ...]]) -> dict[int, list[int]]:
 
 
 def trust_sentences(trust: Trust) -> tuple[str, ...]:
-    """The verdict in words, then what stands behind it."""
+    """Return the verdict in words, then its reasons."""
     return (
         _verdict_sentence(trust),
         ending_sentence(trust),
@@ -421,26 +422,23 @@ def trust_sentences(trust: Trust) -> tuple[str, ...]:
 
 
 def combination_sentences(names: tuple[str, ...], found: Identifiability) -> tuple[str, ...]:
-    """What several parameters hide from the test together, a sentence each."""
+    """Return a sentence for each combination that the test does not determine."""
     said = [_unseen_sentence(names, item) for item in found.unseen if len(item.members) > 1]
     told = {place for item in found.unseen for place in item.members}
     for subset, index in found.collinearity.above(ALIKE):
         if not told & set(subset):
             said.append(
-                f"{_listed([names[place] for place in subset])} act almost alike on these modes "
-                f"(collinearity index {index:.0f}): a small error of the test or the model moves "
-                "them against each other."
+                f"{_listed([names[place] for place in subset])} have almost the same effect on "
+                f"these modes (collinearity index {index:.0f}): a small error of the test or the "
+                "model moves them in opposite directions."
             )
     return tuple(said)
 
 
 def ending_sentence(trust: Trust) -> str:
-    """Whether updating ended at the least misfit, or where e1 is met, and how far these are apart.
-
-    Standard errors tell how the least misfit scatters; e1 may end updating well before it.
-    """
+    """Return where updating ended, and the distance to the minimum misfit."""
     if trust.ended == "least misfit":
-        return "Updating ended at the least misfit."
+        return "Updating ended at the minimum misfit."
     short = trust.short
     order = [place for place in np.argsort(-short).tolist() if short[place] > THERE]
     moves = ", ".join(
@@ -450,15 +448,11 @@ def ending_sentence(trust: Trust) -> str:
         for place in order[:LISTED]
     )
     more = f", and {len(order) - LISTED} more" if len(order) > LISTED else ""
-    why = (
-        "Updating ended as soon as e1 was met, which is good enough, not the least misfit: that"
-        if trust.ended == "good enough"
-        else "Updating ended before the least misfit: that"
-    )
-    ask = "; for the least misfit itself ask for a smaller e1" if trust.agrees else ""
+    why = "with e1 met, before" if trust.ended == "good enough" else "before"
+    smaller = "; a smaller e1 leads to the minimum" if trust.agrees else ""
     return (
-        f"{why} lies further on ({moves}{more}). The standard errors beside the values include "
-        f"this way{ask}."
+        f"Updating ended {why} the minimum misfit, which is further away ({moves}{more}). The "
+        f"standard errors include this distance{smaller}."
     )
 
 
@@ -467,8 +461,8 @@ def _unseen_sentence(names: tuple[str, ...], item: UnseenCombination) -> str:
     changes = item.changes[1:]
     if len(others) >= LISTED:
         return (
-            f"{_listed([first, *others])} are told relative to each other only: a change of all of "
-            "them together is hardly noticed by the test."
+            f"The test determines {_listed([first, *others])} only relative to each other: "
+            "changing all of them together hardly changes the measured values."
         )
     if len(others) > 1:
         moves = ", ".join(
@@ -476,8 +470,8 @@ def _unseen_sentence(names: tuple[str, ...], item: UnseenCombination) -> str:
             for name, change in zip(others, changes, strict=True)
         )
         return (
-            f"{_listed([first, *others])} cannot be told apart: changing {first} by +1 % together "
-            f"with {moves} is hardly noticed by the test."
+            f"The test cannot separate {_listed([first, *others])}: changing {first} by +1 % "
+            f"together with {moves} hardly changes the measured values."
         )
     other, change = others[0], float(changes[0])
     equal = abs(abs(change) - 1.0) < EQUAL
@@ -488,19 +482,22 @@ def _unseen_sentence(names: tuple[str, ...], item: UnseenCombination) -> str:
             else (f"raising {first} by 1 % and {other} by {change:.2g} %")
         )
         return (
-            f"{first} and {other} can only be told as a ratio: {means} is hardly noticed by the "
-            "test."
+            f"The test determines only the ratio of {first} and {other}: {means} hardly changes "
+            "the measured values."
         )
     means = (
         "raising one and lowering the other by the same share"
         if equal
         else (f"raising {first} by 1 % and lowering {other} by {-change:.2g} %")
     )
-    return f"{first} and {other} can only be told together: {means} is hardly noticed by the test."
+    return (
+        f"The test determines {first} and {other} only together: {means} hardly changes the "
+        "measured values."
+    )
 
 
 def verdict_reasons(trust: Trust) -> tuple[str, ...]:
-    """Return why the parameters are not simply trusted, the gravest reason first."""
+    """Return why the parameters are not trusted without reservations, the gravest reason first."""
     doubtful = [item.name for item in trust.parameters if item.doubtful]
     n, reasons = len(trust.parameters), []
     if trust.withheld:
@@ -509,10 +506,7 @@ def verdict_reasons(trust: Trust) -> tuple[str, ...]:
             f"other modes predict ({_listed(trust.missed)}), so standard errors are withheld"
         )
     if trust.meaningless:
-        reasons.append(
-            f"what is left is {trust.times_noise:.2g} times what noise explains, so standard "
-            "errors mean nothing"
-        )
+        reasons.append(f"the remaining misfit is {trust.times_noise:.2g} times what noise explains")
     if doubtful:
         reasons.append(f"{len(doubtful)} of {n} parameters in doubt ({_listed(doubtful)})")
     if unseen := [item.name for item in trust.parameters if "unseen" in item.flags]:
@@ -635,7 +629,7 @@ def _percent(share: float) -> str:
 
 
 def _listed(names: list[str] | tuple[str, ...]) -> str:
-    """Names as people list them; of many the first few."""
+    """Return names in a list, and the number of those beyond the first few."""
     shown = list(names)
     if len(shown) > LISTED:
         shown = [*shown[: LISTED - 1], f"{len(names) - LISTED + 1} others"]

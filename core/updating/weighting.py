@@ -1,6 +1,6 @@
 """How far each measured value is trusted: its deviation, and its emphasis in the residual.
 
-A sensor has a deviation d of its own over that of the shape, and an emphasis w. In the residual its
+A sensor has a deviation d, relative to that of the shape, and an emphasis w. In the residual its
 entries are scaled by the root of
 
     omega = w / d^2,

@@ -44,8 +44,8 @@ ONE_MASS = 1e-6
 #: A printed mass has at least four digits.
 PRINTED = 1e-3
 HELD = (
-    "supports hold the rest, and what they hold is in no stored matrix; free the structure (on "
-    "soft springs, as the test was), or leave mass properties out"
+    "supports hold the remaining mass, which no stored matrix contains; free the structure (on "
+    "soft springs, as in the test), or leave mass properties out"
 )
 #: Share of M_r in a complex step: its square vanishes next to one.
 COMPLEX_STEP = 1e-30

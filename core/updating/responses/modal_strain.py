@@ -1,7 +1,7 @@
 """Strains of modes at gauges: z = (e_m - alpha e_c) / rms(e_m) of each pair and gauge.
 
-A gauge is a row w of factors on displacements, so e_c = w phi and its derivative is w dphi. Modes
-have no scale of their own: alpha is the modal scale factor by a reference r, r_m ~ alpha r_c,
+A gauge is a row w of factors on displacements, so e_c = w phi and its derivative is w dphi. The
+scale of a mode is arbitrary: alpha is the modal scale factor by a reference r, r_m ~ alpha r_c,
 
     alpha = r_m^T r_c / r_c^T r_c,
     d alpha = (r_m^T d r_c - 2 alpha r_c^T d r_c) / r_c^T r_c,
@@ -146,7 +146,7 @@ class ModalStrain:
         sizes = np.sqrt(np.mean(self._measured(state) ** 2, axis=0))
         squares = np.sum(computed**2, axis=0)
         if not (squares > 0.0).all():
-            raise ModesError("a mode moves none of what tells the scale of its strains")
+            raise ModesError("a mode moves none of the references that scale its strains")
         alpha = np.sum(reference * computed, axis=0) / squares
         strains = self._rows(state) @ state.modal.elastic.mode_shapes.real
         return strains[:, state.pairing.computed[self._pairs(state)]] * alpha, alpha, sizes

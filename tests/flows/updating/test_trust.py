@@ -69,7 +69,9 @@ def test_an_update_that_e1_ends_early_says_where_its_standard_errors_hold(
     assert found.ended == "good enough"
     assert found.verdict == "trusted with reservations"
     said = trust_sentences(found)[1]
-    assert said.startswith("Updating ended as soon as e1 was met, which is good enough, not the")
+    assert said.startswith(
+        "Updating ended with e1 met, before the minimum misfit, which is further"
+    )
     exact = UpdateSection(step="regularised", e2=0.0, e1=E1Section(frequency=1e-5, mac=0.0))
     told = update_campaign(bench.campaign(TRUTH, update=exact), bench.folder / "exact", watcher)
     assert trust_of(told).ended == "least misfit"
@@ -189,7 +191,7 @@ def test_a_parameter_on_its_bound_is_named_in_table_summary_and_report(
     found = trust_of(told)
     assert "on_bound" in found.parameters[1].flags
     sentence = found.parameters[1].sentence
-    assert "k2 stands on its lower bound (0.9)" in sentence
+    assert "k2 is on its lower bound (0.9)" in sentence
     console = Console(file=StringIO(), width=200)
     show_run(console, told)
     shown = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
@@ -197,7 +199,7 @@ def test_a_parameter_on_its_bound_is_named_in_table_summary_and_report(
     assert found.verdict in shown
     text = page(told.record)
     assert 'id="trust"' in text
-    assert "k2 stands on its lower bound (0.9)" in text
+    assert "k2 is on its lower bound (0.9)" in text
     assert 'data-chart="l_curve"' in text
 
 
@@ -295,7 +297,7 @@ def test_stiffness_and_mass_of_the_same_group_can_only_be_told_as_a_ratio(
     assert found.verdict == "not to be trusted"
     assert [item.flags for item in found.parameters] == [("collinear",)] * 2
     assert found.parameters[0].collinear_with == ("rho",)
-    assert "can only be told as a ratio" in found.unseen[0]
+    assert "The test determines only the ratio of" in found.unseen[0]
     np.testing.assert_allclose(found.identifiability.test_shares, 0.5, atol=0.06)
 
 
@@ -323,6 +325,6 @@ def test_two_springs_in_series_are_flagged_and_the_third_is_not(
     flags = {item.name: item.flags for item in found.parameters}
     assert flags["a"] == flags["b"] == ("collinear",)
     assert "collinear" not in flags["c"]
-    assert "a and b can only be told together" in found.unseen[0] or (
-        "b and a can only be told together" in found.unseen[0]
+    assert "determines a and b only together" in found.unseen[0] or (
+        "determines b and a only together" in found.unseen[0]
     )

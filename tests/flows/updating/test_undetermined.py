@@ -200,7 +200,7 @@ def test_a_spring_across_all_measured_motion_is_said_to_stay(
         # The share of a spring's energy is about its mass over the frame's: 1e-12 is rounding.
         (1e-12, "dead, stays", "stays at its start value: no measured value changes with it"),
         (1e-8, "dead", "stays at its start value: measured values hardly change with it"),
-        (1e-3, "", "%, which the test does not tell: measured values hardly change with it"),
+        (1e-3, "", "% without information from the test: measured values hardly change with it"),
         (0.1, "", ""),  # its own mode is among the measured
     ],
 )
