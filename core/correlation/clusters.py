@@ -1,7 +1,7 @@
 """Clusters: modes so close that only their common space is known, of the model or of the test.
 
-Modes of one eigenvalue have no shapes of their own, and those of close ones turn within their
-space at the least change of the structure. A solver gives some rotation of them, a test another.
+Modes of one eigenvalue have no unique shapes, and those of close ones rotate within their space at
+the smallest change of the structure. A solver gives one rotation of them, a test another.
 What does not depend on it is compared:
 
 * frequencies. Where the test cannot split them (they are closer than they were measured), in
@@ -39,7 +39,7 @@ def rotation_onto(shapes: Floats, wanted: Floats, frequencies_hz: Floats) -> Flo
     """The rotation R (n_modes, n_modes) with which shapes @ R lie as the wanted ones.
 
     shapes, wanted: (n_dof, n_modes), mass-normalised modes of one model at the same degrees of
-    freedom, in the same order but for the order within a cluster; frequencies_hz: (n_modes,).
+    freedom, in the same order except within a cluster; frequencies_hz: (n_modes,).
     Only close modes are mixed.
     """
     rotation = np.zeros((frequencies_hz.size, frequencies_hz.size))
@@ -58,8 +58,8 @@ def rotation_to_test(
     resolution: relative distance of frequencies that the test can split, of all or (n_modes,) of
     the measured ones. Measured shapes may have
     any scale, and be of some of the members only; the others are what is left of the space. None
-    where there is nothing to turn: no paired mode is close to another one, the test cannot split
-    them either, or the sensors cannot tell how the members lie.
+    if there is nothing to rotate: no paired mode is close to another one, the test cannot split
+    them either, or the sensors cannot determine the rotation.
     """
     rows_m, rows_c = common_dofs(measured, computed)
     alike = close_labels(measured.frequencies_hz, resolution)

@@ -51,8 +51,8 @@ def mac(first: Shapes, second: Shapes) -> Floats:
 def auto_mac(mode_shapes: Shapes) -> Floats:
     """MAC of a set with itself, (n_modes, n_modes).
 
-    mode_shapes: (n_dof, n_modes). Off the diagonal it tells which modes the measured degrees of
-    freedom cannot tell apart. Raises as mac. Source: Allemang 2003.
+    mode_shapes: (n_dof, n_modes). Its off-diagonal values show which modes the measured degrees of
+    freedom cannot distinguish. Raises as mac. Source: Allemang 2003.
     """
     return mac(mode_shapes, mode_shapes)
 
@@ -108,8 +108,8 @@ def comac(measured: Shapes, computed: Shapes) -> Floats:
 
     measured, computed: (n_dof, n_pairs), column by column paired. Each measured shape is given the
     computed one's length and sign first, so its own do not count. In [0, 1], 1 is
-    good; a degree of freedom that rests in all modes of both sets agrees. Raises ModesError where
-    the sets do not fit, or a pair is orthogonal and has no common scale.
+    good; a degree of freedom without motion in both sets agrees. Raises ModesError if the sets do
+    not fit, or a pair is orthogonal and has no common scale.
     Source: thesis (2.2), see above; Lieven and Ewins 1988.
     """
     b = _shapes(computed)

@@ -29,7 +29,7 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, mode_n
 
 #: A MAC that falls by more than this got worse.
 MAC_FALL = 0.02
-#: Stands for the position of a computed mode that was not found.
+#: The position of a computed mode that was not found.
 LOST = -1
 
 
@@ -207,7 +207,7 @@ def _by_shape(wanted: ModeSet, computed: ModeSet, free: Integers) -> Pairing:
     if not free.size:
         return lost
     among = computed.select(free)
-    # Modes at rest, far from all others, stand in where there are too few: they resemble nothing.
+    # Zero shapes far from all others fill in if there are too few modes: they resemble nothing.
     spare = max(0, wanted.n_modes - free.size)
     if spare:
         shapes = without_rounding(among.mode_shapes)

@@ -48,7 +48,7 @@ from modetune.core.modes import (
 
 #: Below this MAC a pair is not a pair (the usual limit for "uncorrelated" is 0.2 to 0.4).
 LOST_MAC = 0.3
-#: A shape this small beside the largest one is rounding.
+#: Size, relative to the largest shape, below which a shape is rounding.
 AT_REST = 1e-7
 #: Modes whose frequencies differ by less than this share are a cluster.
 CLUSTER = 0.015
@@ -59,11 +59,11 @@ FREQUENCY_TIE_BREAK = 0.05
 UNSEEN = 1e-3
 #: Share of the distance that a test can split, up to which measured frequencies are one.
 FINE = 0.1
-#: MAC from which each member of a cluster is told by its own shape.
+#: MAC from which each member of a cluster is identified by its own shape.
 CLEAR = 0.9
-#: How much a member's own MAC counts beside the angle to the space of its cluster.
+#: Weight of a member's own MAC, relative to that of the angle to the space of its cluster.
 OWN_SHARE = 0.1
-#: Relative distance of measured frequencies that a test can split, unless a campaign tells.
+#: Relative distance of measured frequencies that a test can split, by default.
 RESOLUTION = 0.002
 #: Factor of a frequency that a model may be wrong by, beyond what its parameters' bounds allow.
 MODEL_ERROR = 1.4
@@ -230,8 +230,8 @@ def _lost(
 def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz: Floats) -> Floats:
     """MAC of measured shapes with the clusters of computed modes, (n_measured, n_computed).
 
-    Of a mode alone it is the MAC (table). A space of as many modes as there are sensors resembles
-    everything, so it tells nothing.
+    Of a single mode it is the MAC (table). A space of as many modes as there are sensors resembles
+    every shape, so it shows nothing.
     """
     likeness = table.copy()
     for column in range(frequencies_hz.size):
@@ -316,7 +316,7 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
 
 
 def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
-    """MAC where a mode may rest at all sensors: it resembles nothing."""
+    """Return the MAC, 0 for a mode without motion at the sensors."""
     rows, columns = first.any(axis=0), second.any(axis=0)
     if rows.all() and columns.all():
         return mac(first, second)
@@ -327,7 +327,7 @@ def mac_or_zero(first: Shapes, second: Shapes) -> Floats:
 
 
 def _spaces_or_zero(shapes: Shapes, basis: Shapes) -> Floats:
-    """Share of each shape (n_dof, n_shapes) in a space, 0 where one rests, (n_shapes,)."""
+    """Return the share of each shape (n_dof, n_shapes) in a space, (n_shapes,); 0 for zeros."""
     moving, moves = basis[:, basis.any(axis=0)], shapes.any(axis=0)
     spaces = np.zeros(shapes.shape[1])
     if moving.shape[1] and moves.any():
@@ -343,7 +343,7 @@ def cluster_mac(shapes: Shapes, basis: Shapes) -> float:
     """Share of the shapes of a cluster that lies in the space of others, in [0, 1].
 
     shapes: (n_dof, n), mass-normalised, basis: (n_dof, k). Of one shape each it is the MAC; turning
-    the members of either does not change it. 0 where one of them rests.
+    the members of either does not change it. 0 for a zero shape.
     """
     moving = basis[:, basis.any(axis=0)]
     if not moving.shape[1] or not shapes.any():
@@ -354,7 +354,7 @@ def cluster_mac(shapes: Shapes, basis: Shapes) -> float:
 
 
 def without_rounding(shapes: Shapes) -> Shapes:
-    """Shapes (n_dof, n_modes), zero where they rest at the sensors but for rounding.
+    """Return shapes (n_dof, n_modes), zero where only rounding moves the sensors.
 
     A mode of rotations alone, such as the torsion of beams on one axis, leaves noise there.
     """
@@ -459,8 +459,8 @@ def next_pairing(
 ) -> Pairing:
     """The pairs of a later model, of the test modes that have been paired before.
 
-    elastic: its elastic modes; those before are tracked where both are known (matrices tell
-    translations alone, a solver rotations too). Raises LostMode, ModesError.
+    elastic: its elastic modes; those before are tracked where both are known (matrices give
+    translations only, a solver rotations too). Raises LostMode, ModesError.
     """
     pairing, previous = before
     if previous.n_dof != elastic.n_dof:

@@ -6,13 +6,13 @@ M_r = R^T M R, phi^T M phi = 1 says A^T M_r A = 1, so
 
     M_r = (A A^T)^-1
 
-without the model's mass matrix, and at any few nodes that tell six motions apart. M_r holds
+without the model's mass matrix, and at any few nodes that separate six motions. M_r holds
 
     [ m 1    m [c]^T ]      m: mass, c: centre of gravity, J_o: inertia about the origin,
     [ m [c]  J_o     ]      [c]: the cross product's matrix
 
-A model that leaves mass out of its modes (a point mass at a node of no element) shows here beside
-the mass that the solver prints. Source: Wijker 2004, 2.3.
+This shows a model that leaves mass out of its modes (a point mass at a node of no element), by
+comparison with the mass that the solver prints. Source: Wijker 2004, 2.3.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from modetune.core.modes import Floats, Integers
 
 #: A rigid-body mode may differ from a rigid motion by this share of its length: a solver's digits.
 RIGID_TOLERANCE = 1e-2
-#: Six motions told apart worse than this have no digits left of those a solver prints.
+#: Condition of six motions beyond which no digit is left of those a solver prints.
 HOPELESS_PLACES = 1e5
 
 
@@ -51,7 +51,7 @@ def rigid_body_of_modes(
 
     rigid_modes: (n_dof, 6), of unit modal mass; coordinates: (n_dof, 3), place of each degree of
     freedom; components: (n_dof,), 1..6; global axes, the deck's units. Raises ModesError where
-    these are not six rigid motions, or the places cannot tell them apart.
+    these are not six rigid motions, or the places cannot separate them.
     """
     if rigid_modes.shape != (components.size, 6):
         raise ModesError(f"rigid-body modes of shape {rigid_modes.shape}; six are needed")
@@ -62,7 +62,7 @@ def rigid_body_of_modes(
     moves = components <= 3
     motions[~moves, 3:] /= size
     if not np.linalg.cond(motions) < HOPELESS_PLACES:
-        raise ModesError("the nodes of the results lie so that they do not tell six motions apart")
+        raise ModesError("the positions of the result nodes do not separate six rigid motions")
     shares, *_ = np.linalg.lstsq(motions, rigid_modes, rcond=None)
     apart = np.linalg.norm(motions @ shares - rigid_modes, axis=0)
     if (apart > RIGID_TOLERANCE * np.linalg.norm(rigid_modes, axis=0)).any():

@@ -3,7 +3,7 @@
 **Single sensors.** Such a mistake changes the sign of one row of all measured shapes, or exchanges
 two rows. Undoing it numerically costs nothing, so every sensor is reversed, and the worst few are
 exchanged pair by pair. What counts is not how much the agreement rises, which falls with the number
-of sensors, but how far the sensor stands out of the scatter of the others.
+of sensors, but how far the sensor exceeds the scatter of the others.
 
 A measured shape a of length one is fitted by the computed modes that are paired with it and those
 it contains a part of (model error mixes modes), with orthonormal q (n_sensors, n_modes): the sum of
@@ -54,18 +54,18 @@ NEAR, NEARLY = 16.0, 0.9
 LEAST_SCATTER = 0.03
 #: The share of sensors that scatter worst, which do not count for the scatter.
 WORST_SHARE = 0.1
-#: A computed mode with this MAC beside the answering ones is in a measured shape too.
+#: MAC from which a computed mode other than the paired ones takes part in a measured shape.
 PART = 0.02
 #: Modes of a fit are at most this share of the sensors.
 FIT_SHARE = 0.2
-#: Changes that are looked at closely, and sensors that are exchanged with each other.
+#: Number of changes that are examined closely, and of sensors that are exchanged.
 CANDIDATES, WORST = 40, 8
 #: With fewer sensors than this a changed row is not a mistake among others that are right.
 FEWEST_SENSORS = 6
 Rows = tuple[int, ...]
 #: A turn is named where its mean MAC is at least so much, and so much above that of none.
 GOOD_MAC, LIFT = 0.7, 0.2
-#: Turns whose mean MACs are this near to the best cannot be told from it.
+#: Distance of mean MACs within which turns are equally good.
 ALIKE = 0.02
 NAMES = "xyz"
 
@@ -75,7 +75,7 @@ class SensorError:
     """One sensor turned round, or two exchanged: the change that would undo it.
 
     rows: of the shapes, one or two; before, after: MAC of each mode, (n_modes,), without and with
-    the change; score: by how many standard deviations of the other sensors it stands out.
+    the change; score: its misfit in standard deviations of the other sensors.
     """
 
     rows: Rows
@@ -87,7 +87,7 @@ class SensorError:
 def sensor_errors(
     measured: Shapes, computed: Sequence[Shapes], others: Shapes | None = None, most: int = 4
 ) -> tuple[SensorError, ...]:
-    """Sensors that seem turned round or exchanged, the clearest first, at most so many.
+    """Return sensors that seem reversed or exchanged, the clearest first.
 
     measured: (n_sensors, n_modes), no shape zero; computed: for each of these modes the shapes
     that answer it, (n_sensors, n_close), as the same sensors see them; others: all computed shapes
@@ -205,7 +205,7 @@ def _fit_space(shape: Shapes, answering: Shapes, others: Shapes | None) -> Shape
     parts = mac(shape[:, None], moving)[0]
     room = max(int(FIT_SHARE * shape.size) - answering.shape[1], 0)
     taken = [place for place in np.argsort(-parts, kind="stable") if parts[place] > PART]
-    # Those that answer add no direction of their own, and take no room.
+    # The paired modes add no direction, and take no room.
     new = [place for place in taken if not (mac(moving[:, [place]], answering) > 1.0 - 1e-9).any()]
     return _orthonormal(np.hstack([answering, moving[:, new[:room]]]))
 
@@ -225,7 +225,7 @@ def _orthonormal(space: Shapes) -> Shapes:
 
 @dataclass(frozen=True, slots=True)
 class TurnedAxes:
-    """Turns of the axes that would undo the mistake; several where they are told by nothing.
+    """Turns of the axes that would undo the mistake; several if they are equally good.
 
     matrices: each (3, 3), a direction of the test times it is where the sensor looks; mac: mean
     MAC of the pairs with the first; before: without a turn.

@@ -19,7 +19,7 @@ from modetune.core.modes import Floats, Integers
 
 #: Triangles of a class that are asked for a place.
 ASKED = 8
-#: No sample stands for more than this part of the surface's extent.
+#: Largest distance between samples, as a part of the surface's extent.
 COARSEST = 0.02
 #: Places that are asked at a time: some 100 MB.
 AT_A_TIME = 20_000
@@ -40,7 +40,7 @@ class Feet:
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
-    """A surface that tells its closest points.
+    """A surface that finds its points closest to others.
 
     corners: (n, 3, 3). samples: (n_samples, 3), all over it. classes: a tree of samples and the
     triangle of each, for each class of size.

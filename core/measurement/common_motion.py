@@ -1,11 +1,11 @@
 """What two sets of sensors both see, by the directions they look along, whatever these are called.
 
 At a point a sensor i measures y_i = d_i . u, d_i a unit vector, u the motion. Sensors with the
-directions D (k, 3) of one set tell the motion along d too where d = D^T w, w the weights of least
+directions D (k, 3) of one set give the motion along d too if d = D^T w, with w the weights of least
 size; then d . u = w . y. So a direction of either set that the other one spans is compared, once:
 those of the first set, then what only the second set's own directions reach. Rotations go likewise.
 
-Directions stand in the axes of each test. Points that both have in common, by number, tell how the
+Directions are in the axes of each test. Points that both have in common, by number, tell how the
 axes of the second are turned against those of the first.
 """
 
@@ -112,7 +112,7 @@ def common_motion(
 def turn_between(first: TestGeometry, second: TestGeometry) -> tuple[Floats, str]:
     """The rotation (3, 3) of the second test's axes into the first's, and what to know of it.
 
-    By the places of points that both have, at least three; the identity where they tell nothing.
+    By the places of at least three common points; the identity if they determine no rotation.
     """
     _, rows, others = np.intersect1d(first.nodes, second.nodes, return_indices=True)
     unturned = np.eye(3)

@@ -20,9 +20,9 @@ class TestGeometry:
 
     nodes: (n,), the test's own numbers, each once. coordinates: (n, 3), the test's global axes.
     frames: (n, 3, 3), rows are the directions x, y, z in which a point's motion was measured,
-    unit vectors in the test's global axes; the identity where the file tells no other.
+    unit vectors in the test's global axes; the identity if the file has none.
     lines: pairs of nodes (n_lines, 2) that draw the structure; faces: (n_faces, 3), triangles.
-    metres: length of the coordinates' unit in metres, NaN where the file does not tell.
+    metres: length of the coordinates' unit in metres, NaN if the file has none.
     Raises ModesError where arrays do not fit together.
     """
 
@@ -115,7 +115,7 @@ class MeasuredFrfs:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredDeviations:
-    """How exactly the modes of a test were measured, NaN where it does not tell.
+    """Standard deviations of the modes of a test, NaN if unknown.
 
     frequencies: (n_modes,), relative standard deviations of the frequencies; shapes: (n_modes,), of
     the entries of each shape, relative to its root mean square. correlation: (n_modes, n_modes), of
@@ -135,7 +135,7 @@ class MeasuredDeviations:
 
 @dataclass(frozen=True, slots=True)
 class OtherValues:
-    """Values of repeated tests beside those of modes, in the deck's units.
+    """Values of repeated tests other than modes, in the deck's units.
 
     names: as reports call the responses, "mass"; values: (n_tests, n_names), NaN where missing.
     """
@@ -150,7 +150,7 @@ class RepeatedTests:
 
     places: of each test, its file, or file and line; numbers: of the modes. frequencies_hz,
     damping_ratios: (n_tests, n_modes), NaN where not found. used: (n_tests, n_modes), which
-    frequencies count, None where nobody looked yet; worth: how much of an independent test each is;
+    frequencies count, None before that is judged; worth: the share of an independent test in each;
     others: what else they measured.
     """
 

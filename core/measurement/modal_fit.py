@@ -75,7 +75,7 @@ def fit_residues(
     basis = _basis(frequencies_hz, poles, kind)
     if basis.shape[0] < basis.shape[1]:
         raise ModesError(
-            f"{frequencies_hz.size} lines do not tell {poles.size} modes and the residual terms"
+            f"{frequencies_hz.size} lines do not determine {poles.size} modes and residual terms"
         )
     size = np.linalg.norm(basis, axis=0)
     q, r = np.linalg.qr(basis / size)
@@ -126,7 +126,7 @@ def mode_shares(
     """How much of the response near its frequency is lost without a mode, (n_modes,), 0 to 1.
 
     Arguments as fit_residues. Root of the power over the half-width of the resonance that the
-    other modes, fitted anew, cannot make up: near 1 for a mode that stands alone, a half for one
+    other modes, fitted again, cannot replace: near 1 for an isolated mode, a half for one
     of a close pair, and small for a computational pole, however stable.
     """
     spacing = float(np.diff(frequencies_hz).max())
@@ -199,7 +199,7 @@ def shapes_and_participations(
 def unit_mass_factors(own: Complexes, force: Complexes, poles: Complexes) -> Complexes:
     """What shapes u are multiplied by to have unit modal mass, (n_modes,).
 
-    own, force: (n_points, n_modes), u and v at the driving points. A mode that rests at all of
+    own, force: (n_points, n_modes), u and v at the driving points. A mode without motion at all of
     them keeps its scale: 1. Source: Ewins 2000, 2.6, with A = phi phi^T / 2 i w_d.
     """
     strength = np.sum(np.abs(own) ** 2, axis=0)

@@ -50,9 +50,9 @@ ON_A_LINE = 1e-3
 ROTATIONS, CUBES, SAMPLES = 2400, 44, 20_000
 #: Distances count up to this part of the test's size.
 CUT = 0.1
-#: Starts that go on.
+#: Number of starts that are refined.
 STARTED = 1500
-#: Translations are tried this part of the test's size apart, at most so many a rotation.
+#: Distance of tried translations, as a part of the test's size, and their number per rotation.
 APART, TRANSLATIONS = 0.15, 150
 #: How far, as a factor, a fitted scale may go from the ratio of the boxes.
 SCALE_RANGE = 1.4
@@ -118,8 +118,8 @@ class Alignment:
 class Registration:
     """Ways to lay a test over a model.
 
-    best: the likeliest. others: those that cannot be told from it, likelier ones first. slides:
-    how far points may move at most in motions that the fit cannot tell, the model's length.
+    best: the likeliest. others: those that cannot be distinguished from it, likelier ones first.
+    slides: the largest motion of points that the fit leaves open, in the model's length.
     on_nodes: whether points lie on nodes. mirrored: whether the mirrored points fit far better.
     """
 
@@ -302,7 +302,7 @@ def chosen(which: NDArray[np.bool_], these: Poses, those: Poses) -> Poses:
 
 
 def spread(points: Floats, at_most: int) -> Floats:
-    """So many of the points, each the farthest from those before it."""
+    """Return at most `at_most` of the points, each the farthest from those before it."""
     if len(points) > 20 * at_most:  # multiples of the golden ratio miss no row of a grid
         parts = np.arange(20 * at_most) * (np.sqrt(5.0) - 1.0) / 2.0 % 1.0
         points = points[np.unique((parts * len(points)).astype(np.int64))]
@@ -418,10 +418,10 @@ def register(
     scale: float | None = None,
     near: Alignment | None = None,
 ) -> Registration:
-    """All ways to lay test points on a surface that cannot be told from the best one.
+    """Return the best pose of test points on a surface, and those that are not worse.
 
     points: (n_points, 3) of the test. nodes: (n_nodes, 3), of the model. scale: model lengths a
-    test length where the units tell; None fits it too, within SCALE_RANGE of what the boxes say.
+    test length if the units are known; None fits it too, within SCALE_RANGE of the boxes' ratio.
     near: one more start. Raises ModesError for fewer than three points and points on one line.
     """
     require_spread(points, "the test's points")
@@ -451,7 +451,7 @@ class _Search:
         return diagonal(self.points)
 
     def fits(self, near: Alignment | None) -> tuple[Poses, Floats, bool]:
-        """Poses that cannot be told apart, what they leave, and whether points are on nodes."""
+        """Return equally good poses, their residuals, and whether points are on nodes."""
         few, some = spread(self.points, FEW), spread(self.points, SOME)
         poses = starts(few, self.surface.samples, self.scale)
         if near is not None:

@@ -47,7 +47,7 @@ from modetune.core.modes import Floats, MeasuredModes, dof_name, mode_set
 
 #: Share of sets of good repetitions in which one is called wrong.
 FALSE = 0.01
-#: Fewer repetitions do not tell which of them is wrong; nor do fewer than so many times the values.
+#: Least number of repetitions that show which one is wrong, in all and per value.
 LEAST, EACH = 10, 3
 #: Degrees of freedom of Student's t; rounds; change of the mean, in deviations, that ends them.
 STUDENT, ROUNDS, SAME = 3.0, 2000, 1e-9
@@ -57,13 +57,13 @@ NOTHING = 1e-12
 MEDIAN = 0.6744897501960817
 
 Mask = NDArray[np.bool_]
-#: Tests that the scatter of all modes counts for, beside those of the mode itself.
+#: Number of tests that the scatter of all modes is worth, in addition to those of the mode.
 BORROWED = 4
 #: Repeated tests differ by less: frequencies relatively, and shapes from MAC 1.
 APART, UNLIKE = 0.1, 0.3
-#: From so many tests on a drift is looked for, which is beyond so many of its standard errors.
+#: Number of tests from which a drift is sought, and its least size in standard errors.
 DRIFT_FROM, DRIFTS = 10, 2.0
-#: Values that are left out are told one by one up to so many.
+#: Number of omitted values that are listed one by one.
 TOLD = 12
 
 
@@ -106,7 +106,7 @@ def scatter_of(values: Floats) -> Scatter:
     scale = np.nanmedian(np.abs(away), axis=0) / MEDIAN
     scale = np.where(scale > 0.0, scale, np.sqrt(np.nanmean(away**2, axis=0)))
     if not scale.any():
-        raise ModesError("the repeated tests are the same; they tell nothing of what scatters")
+        raise ModesError("the repeated tests are identical and show no scatter")
     scale = np.where(scale > 0.0, scale, scale.max())
     x, used = away / scale, seen
     sought = n >= max(LEAST, EACH * m)
@@ -128,7 +128,7 @@ def scatter_of(values: Floats) -> Scatter:
 def _fitted(x: Floats, student: float) -> tuple[Floats, Floats]:
     """Mean (m,) and covariance (m, m) of greatest likelihood of rows (n, m), NaN where missing.
 
-    student: degrees of freedom, infinite for a normal distribution. Rows of NaN tell nothing.
+    student: degrees of freedom, infinite for a normal distribution. Rows of NaN are ignored.
     """
     seen = np.isfinite(x)
     x, seen = x[seen.any(axis=1)], seen[seen.any(axis=1)]
@@ -181,7 +181,7 @@ def _consistent(x: Floats, mean: Floats, covariance: Floats) -> Floats:
 
 
 def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
-    """Which values (n, m) are nothing unusual beside the others."""
+    """Return which values (n, m) are usual, given the others."""
     n, m = x.shape
     sizes = np.arange(1, m + 1)
     limits = np.zeros(m + 1)
@@ -205,8 +205,8 @@ def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
 def mean_of_tests(tests: Sequence[MeasuredModes], places: Sequence[str]) -> Measurement:
     """The mean of two or more tests at the same sensors. places: the file of each.
 
-    The first test tells which modes there are; others may lack some. Raises ModesError where they
-    are other tests, or where nothing scatters.
+    The first test defines the modes; others may lack some. Raises ModesError if they are tests of
+    something else, or if nothing scatters.
     """
     first = tests[0]
     for other in tests[1:]:
@@ -231,7 +231,7 @@ def mean_of_tests(tests: Sequence[MeasuredModes], places: Sequence[str]) -> Meas
     variances = np.nanmean(np.nanvar(scaled, axis=0), axis=0) * counts / (counts - 1)
     deviations = _drawn(variances / np.mean(shapes**2, axis=0), len(tests)) / np.sqrt(counts)
     if (deviations == 0.0).any():
-        raise ModesError("the repeated tests are the same; they tell nothing of what scatters")
+        raise ModesError("the repeated tests are identical and show no scatter")
     own_modes = mean.modes.modes
     modes = replace(
         first.modes,
@@ -254,7 +254,7 @@ def measurement_of(repeats: RepeatedTests) -> Measurement:
     if lost.size:
         raise ModesError(
             f"mode {repeats.numbers[lost[0]]} was found in fewer than two of "
-            f"{len(repeats.places)} tests, so that nothing tells how it scatters"
+            f"{len(repeats.places)} tests, so its scatter is unknown"
         )
     scatter = scatter_of(repeats.frequencies_hz)
     worth, notes = _independent(repeats, scatter)
@@ -321,13 +321,13 @@ def _scaled(wanted: Floats, test: MeasuredModes) -> Floats:
 
 
 def _drawn(variances: Floats, n: int) -> Floats:
-    """Standard deviations drawn to those of all modes, from variances that n tests tell."""
+    """Return standard deviations drawn to those of all modes, from the variances of n tests."""
     drawn = ((n - 1) * variances + BORROWED * variances.mean()) / (n - 1 + BORROWED)
     return np.asarray(np.sqrt(drawn))
 
 
 def _correlation(covariance: Floats, n: int) -> Floats:
-    """The correlation (m, m) drawn to none, as far as n tests tell it badly."""
+    """Return the correlation (m, m), drawn to zero as far as n tests leave it uncertain."""
     sizes = np.sqrt(np.diag(covariance))
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     r = covariance / np.outer(sizes, sizes)

@@ -188,7 +188,7 @@ def log_variances(values: Complexes, coherence: Floats, averages: int) -> Floats
 def chosen_lines(
     frequencies_hz: Floats, values: Complexes, variances: Floats, usable: Integers, most: int
 ) -> Integers:
-    """Positions of at most so many lines, ascending. usable: positions, those that may be taken."""
+    """Return positions of lines, ascending. usable: positions of the lines to choose from."""
     with np.errstate(divide="ignore", invalid="ignore"):
         step = np.log(values[2:] / values[:-2])
         width = np.log(frequencies_hz[2:] / frequencies_hz[:-2])

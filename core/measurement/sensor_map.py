@@ -32,8 +32,8 @@ class SensorMap:
     """The sensors of a test on the nodes of a model.
 
     nodes, components: (n_sensors,), as the test names them. model_nodes: (n_sensors,).
-    directions: (n_sensors, 3), unit vectors in the axes in which the model's results stand at
-    its node. turns: (n_sensors,), whether a rotation about the direction is measured.
+    directions: (n_sensors, 3), unit vectors in the axes of the model's results at its node. turns:
+    (n_sensors,), whether a rotation about the direction is measured.
     distances: (n_sensors,), from test point to node, the deck's length; 0 where given by number.
     """
 
@@ -76,7 +76,8 @@ class SensorMap:
     def observe(self, modes: ModeSet) -> ModeSet:
         """Computed modes as the test's sensors see them, named by the test. Raises ModesError.
 
-        One that rests there but for rounding is zero: it would resemble measured ones by chance."""
+        A mode that moves the sensors by rounding only is zero: it would resemble measured ones by
+        chance."""
         seen = np.asarray(self.matrix(modes.nodes, modes.components) @ modes.mode_shapes)
         if seen.size:
             largest, sizes = np.abs(modes.mode_shapes).max(axis=0), np.abs(seen).max(axis=0)
@@ -106,7 +107,7 @@ def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
 
 
 def result_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
-    """Directions (n, 3) in global axes, in the axes in which each node's results stand."""
+    """Return directions (n, 3), given in global axes, in the axes of each node's results."""
     return _turned(nodes, directions, mesh, inward=True)
 
 
@@ -127,7 +128,7 @@ def _turned(nodes: Integers, directions: Floats, mesh: Mesh, inward: bool) -> Fl
 def mean_edge(mesh: Mesh) -> float:
     """Mean distance between neighbouring corners of the elements; 0 where all are points.
 
-    Of a solid the edges of its first face stand for all.
+    Of a solid the edges of its first face represent all.
     """
     lengths = [np.zeros(0)]
     for cells in mesh.cells:

@@ -1,7 +1,7 @@
 """Which poles of a fitted polynomial are modes: the stabilisation diagram, judged without eyes.
 
-A polynomial of higher order than the structure has modes gives poles that stand for modes and
-poles that stand for noise. The first come back at every order, the others wander. A pole is
+A polynomial of higher order than the structure has modes gives poles of modes and poles of noise.
+The first recur at every order, the others wander. A pole is
 stable where the order before has a pole that agrees with it in
 
     frequency |f - f'| / f' <= 1 %,  damping |zeta - zeta'| / zeta' <= 5 %,  shape 1 - MAC <= 2 %,
@@ -15,7 +15,7 @@ For the choice without a user, poles of successive orders are linked one to one 
 in all three measures first. So two modes 1 % apart, which agree in frequency, stay two tracks:
 their shapes or dampings are nearer to their own. A track may pause, since orders in between can
 miss a mode. Of two tracks of like shape (MAC > 0.9) nearer to each other than the half-width
-zeta f of the resonance, the longer one counts: no measurement tells such a pair apart.
+zeta f of the resonance, the longer one counts: no measurement separates such a pair.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Track:
     """One pole followed over the orders.
 
     places: (n, 2), place in the diagram and pole there; n_stable: how many are stable.
-    pole: what stands for the track, the last stable one, where bias is least; shape likewise.
+    pole: of the track, the last stable one, where bias is least; shape likewise.
     """
 
     places: Integers
@@ -166,8 +166,8 @@ def judge_orders(orders: Sequence[OrderPoles], criteria: Criteria) -> tuple[Orde
 def follow_poles(orders: Sequence[OrderPoles], criteria: Criteria) -> tuple[Track, ...]:
     """Poles of successive orders linked one to one, ascending in frequency.
 
-    orders: judged. Tracks without a stable pole are left out, and of two that stand for one
-    resonance (see above) the shorter. Raises as core.mac.
+    orders: judged. Tracks without a stable pole are left out, and the shorter one of two at one
+    resonance (see above). Raises as core.mac.
     """
     open_tracks: list[list[tuple[int, int]]] = []
     ended: list[list[tuple[int, int]]] = []
@@ -237,7 +237,7 @@ def _link(
     item: OrderPoles,
     criteria: Criteria,
 ) -> dict[int, int]:
-    """Which open track each pole of an order goes on with."""
+    """Return which open track each pole of an order continues."""
     if not tracks or not item.poles.size:
         return {}
     last = [(orders[track[-1][0]], track[-1][1]) for track in tracks]

@@ -134,8 +134,8 @@ def _functions(
         raise CampaignError(f"H2 is for one force; {run.where} has {force.size}")
     if n_segments <= force.size:
         raise CampaignError(
-            f"{run.where}: {n_segments} segments cannot tell {force.size} forces apart from noise: "
-            "shorter segments, or more recordings"
+            f"{run.where}: {n_segments} segments cannot separate {force.size} forces from noise: "
+            "use shorter segments, or more recordings"
         )
     s_ff, s_fx = whole[:, force[:, None], force], whole[:, force[:, None], motion]
     s_xx = whole[:, motion, motion].real

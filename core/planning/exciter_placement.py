@@ -29,7 +29,7 @@ MEAN_WEIGHT = 1e-3
 def participation(shapes: Floats) -> Floats:
     """Share of each mode's largest motion, (n, n_modes) in [0, 1].
 
-    shapes: (n, n_modes), at the candidates; a mode that rests at all of them has shares of zero.
+    shapes: (n, n_modes), at the candidates; a mode without motion there has shares of zero.
     """
     largest = np.abs(shapes).max(axis=0)
     return np.asarray(np.abs(shapes) / np.where(largest > 0.0, largest, 1.0))

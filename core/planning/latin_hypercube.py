@@ -1,7 +1,7 @@
-"""Latin hypercubes: points that have a stratum of their own in every parameter.
+"""Latin hypercubes: points with one point in each stratum of every parameter.
 
 McKay, Beckman, Conover 1979: of n points each parameter's n equal parts of the unit interval hold
-one each, in an order of its own, at a random place in its part.
+one each, in random order, at a random place in its part.
 """
 
 from __future__ import annotations

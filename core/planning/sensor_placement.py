@@ -56,16 +56,16 @@ Score = Callable[[Floats], Floats]
 ROUNDS = 20
 #: A gain below this share of the score is rounding.
 LEAST_GAIN = 1e-9
-#: Above so many candidates they go a share at a time: the least of very many differ little.
+#: Number of candidates above which a share of them is removed at a time: they differ little.
 ONE_BY_ONE = 6000
 SHARE = 0.05
-#: Updates after which the inverse is computed anew, so that rounding does not add up.
+#: Number of updates after which the inverse is computed again, so that rounding does not add up.
 REFRESH = 100
 #: Values this near are equal: of the equals of a symmetric structure the last goes first.
 EQUAL = 1e-9
 #: A place whose loss leaves less than this share of the determinant cannot be spared.
 SINGULAR = 1e-10
-#: What is known of modes before any sensor, beside what all candidates tell: next to nothing.
+#: Prior information on modes, relative to that of all candidates: next to nothing.
 FAINT = 1e-6
 #: Two modes whose auto-MAC is above this look alike to the sensors.
 ALIKE = 0.25
@@ -77,7 +77,7 @@ QUIET = 0.1
 class Spacing:
     """Places of candidates, and how far apart those of different nodes must be.
 
-    nodes: (n,), one node may stand several times, once a direction; coordinates: (n, 3);
+    nodes: (n,), a node may occur once for each direction; coordinates: (n, 3);
     distance: the deck's length, 0 where anything goes. Directions at one node are never too near.
     """
 
@@ -127,7 +127,7 @@ def choose_best(
     """Positions (count,) of the chosen candidates, in the order in which they came in.
 
     matrices: (n, k, k), of the candidates; base: (k, k), what is there without any; start:
-    candidates that are in at first, and may be exchanged. Raises CampaignError where so many
+    the first choice of candidates, which may be exchanged. Raises CampaignError if this number
     cannot be placed that far apart. Source: Fedorov 1972.
     """
     chosen = list(start)
@@ -193,7 +193,7 @@ def least_auto_mac(sums: Floats) -> Floats:
 def off_diagonal_mac(sums: Floats) -> Floats:
     """Auto-MAC (n, k, k) of Gram matrices (n, k, k), with zeros on the diagonal.
 
-    A mode that rests at all sensors is like all others: 1.
+    A mode without motion at all sensors is like all others: 1.
     """
     lengths = np.diagonal(sums, axis1=1, axis2=2)
     product = lengths[:, :, None] * lengths[:, None, :]
@@ -292,7 +292,7 @@ def _inverse(rows: Floats) -> Floats:
     if rank < flat.shape[1]:
         raise ModesError(
             f"at these {rows.shape[0]} places and directions the shapes of the {flat.shape[1]} "
-            f"modes are those of {rank} independent ones: no choice of them tells the modes apart; "
+            f"modes are those of {rank} independent ones: no choice of them separates the modes; "
             "take more candidates, more directions or more sensors, or fewer modes"
         )
     return np.asarray(np.linalg.inv(flat.T @ flat))
@@ -300,7 +300,7 @@ def _inverse(rows: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How well a choice of sensors tells modes apart.
+    """How well a choice of sensors separates modes.
 
     auto_mac: (n_modes, n_modes). condition: of the shape matrix, modes of unit length over all
     candidates; infinite where modes are the same. determinant: of the Fisher matrix, relative to
@@ -330,7 +330,7 @@ class Quality:
 
 
 def judge(rows: Floats, chosen: Integers) -> Quality:
-    """How well the chosen candidates tell the modes apart. rows: (n, n_directions, n_modes)."""
+    """Return how well the chosen candidates separate modes. rows: (n, n_directions, n_modes)."""
     whole = unit_modes(rows).reshape(-1, rows.shape[2])
     part = unit_modes(rows)[chosen].reshape(-1, rows.shape[2])
     n_modes = whole.shape[1]
@@ -408,7 +408,7 @@ def by_kinetic_energy(rows: Floats, count: int, spacing: Spacing) -> Integers:
 
 
 def parameter_information(sensitivity: Floats) -> Floats:
-    """What each candidate tells of the parameters, (n, n_parameters, n_parameters).
+    """Return each candidate's information on the parameters, (n, n_parameters, n_parameters).
 
     sensitivity: (n, n_rows, n_parameters), derivatives of what is read there, each divided by
     the reading's standard deviation and multiplied by the parameter's beforehand.
@@ -428,8 +428,8 @@ def by_information(information: Floats, prior: Floats, count: int, spacing: Spac
 def with_modes(information: Floats, prior: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Information on the parameters and on the amplitudes of all modes together, and without any.
 
-    Shapes tell of parameters only where modes can be told apart, which information on parameters
-    alone does not ask for. information: (n, p, p), prior: (p, p), rows: (n, n_directions,
+    Shapes inform on parameters only if modes can be separated, which information on parameters
+    alone does not require. information: (n, p, p), prior: (p, p), rows: (n, n_directions,
     n_modes). Returns (n, p + n_modes, p + n_modes) and its prior, next to nothing for amplitudes.
     """
     of_modes = grams(unit_modes(rows))
@@ -447,7 +447,7 @@ def grams(rows: Floats) -> Floats:
 def order_of_use(rows: Floats) -> Integers:
     """Positions (n,) such that the first few are as good as few can be: greedily by determinant.
 
-    A little of the unit matrix stands in for the modes that the first few cannot tell yet.
+    A small multiple of the unit matrix represents the modes that the first few cannot separate yet.
     """
     matrices = grams(unit_modes(rows))
     return greedy_order(matrices, FAINT * np.eye(matrices.shape[1]))

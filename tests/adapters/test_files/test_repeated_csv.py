@@ -100,7 +100,7 @@ def test_every_fault_has_its_line(tmp_path: Path) -> None:
     (told,) = read(path, "f1,f2\n10,20\n")
     assert told == f"{path}, line 1: 1 test follows; repeated tests are two or more"
     (told,) = read(path, "f1,f2\n10,20\n10,20\n")
-    assert "the repeated tests are the same" in told
+    assert "the repeated tests are identical" in told
 
 
 def test_fifty_tests_of_a_frame(shared_data: Path) -> None:

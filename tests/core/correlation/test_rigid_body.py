@@ -67,7 +67,7 @@ def test_nodes_on_a_line_do_not_tell_and_five_modes_are_too_few() -> None:
     places = np.outer(np.linspace(0.0, 1.0, 5), [1.0, 2.0, 3.0])
     coordinates, components = np.repeat(places, 3, axis=0), np.tile(np.arange(1, 4), 5)
     motions = rigid_body_shapes(coordinates, components)
-    with pytest.raises(ModesError, match="do not tell six motions apart"):
+    with pytest.raises(ModesError, match="do not separate six rigid motions"):
         rigid_body_of_modes(motions, coordinates, components)
     with pytest.raises(ModesError, match="six are needed"):
         rigid_body_of_modes(motions[:, :5], coordinates, components)

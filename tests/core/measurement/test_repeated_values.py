@@ -87,7 +87,7 @@ def test_units_mean_nothing() -> None:
 
 
 def test_what_does_not_scatter_or_was_measured_once_is_refused() -> None:
-    with pytest.raises(ModesError, match="the same"):
+    with pytest.raises(ModesError, match="identical"):
         scatter_of(np.ones((4, 2)))
     x = drawn(5, 1)
     x[1:, 2] = np.nan

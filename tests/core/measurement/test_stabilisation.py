@@ -216,7 +216,7 @@ def test_a_pole_at_an_end_of_the_band_must_matter_more() -> None:
 def test_fewer_numbers_than_unknowns_are_refused() -> None:
     lines = np.array([20.0, 21.0])
     poles, values = system(lines, "mobility")
-    with pytest.raises(ModesError, match="2 lines do not tell 3 modes"):
+    with pytest.raises(ModesError, match="2 lines do not determine 3 modes"):
         fit_residues(lines, values, poles, "mobility")
 
 

@@ -296,7 +296,7 @@ def test_values_that_do_not_tell_powers_apart_are_refused() -> None:
     a = random_upper(1)
     with pytest.raises(ModelError, match="2 powers are fitted to 1 matrices"):
         fit_powers([a], [2.0], 1.0, (1, 2))
-    with pytest.raises(ModelError, match=r"values 2, 2 do not tell the powers 1, 2 apart"):
+    with pytest.raises(ModelError, match=r"values 2, 2 do not separate the powers 1, 2"):
         fit_powers([a, a], [2.0, 2.0], 1.0, (1, 2))
 
 

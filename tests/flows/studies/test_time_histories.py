@@ -237,7 +237,7 @@ ROWS = "".join(f"{0.01 * k:.2f},{k % 3},{k % 5}\n" for k in range(400))
         ),
         (HEAD + ROWS, ("--estimator", "h3"), "expected one of h1, h2"),
         (HEAD + ROWS, ("--window", "hamming"), "expected one of hann, boxcar"),
-        (HEAD + ROWS, ("--segment", "4"), "1 segments cannot tell 1 forces apart from noise"),
+        (HEAD + ROWS, ("--segment", "4"), "1 segments cannot separate 1 forces from noise"),
         (HEAD.replace("[N]", "[m/s^2]") + ROWS, ("--estimator", "h1"), "responses without forces"),
         (HEAD.replace("[N]", "[m/s^2]") + ROWS, (), "too few for --order"),
         ("mode,1\nfrequency_hz,3.0\n", (), "no response functions and no time histories"),
