@@ -31,7 +31,7 @@ from modetune.core.parameters import Parameter, ParameterSet
 FREQUENCY_DEVIATION = 0.002
 SHAPE_DEVIATION = 0.05
 SHAPE_WEIGHT = 0.1
-#: Least MAC of a model that agrees.
+#: Lowest MAC of a model that agrees.
 LEAST_MAC = 0.9
 #: Largest relative frequency error of a model that agrees, unless told otherwise.
 TARGET = 1e-4

@@ -270,7 +270,7 @@ def _given(measured: ModeSet, unmeasured: tuple[int, ...]) -> ReferenceModes:
 
 
 def _worst(result: Outcome) -> tuple[float, float]:
-    """Largest relative frequency error and least MAC after updating."""
+    """Largest relative frequency error and lowest MAC after updating."""
     errors = np.abs(result.frequency_errors)
     return float(errors.max()), float(np.diag(result.mac_after).min())
 

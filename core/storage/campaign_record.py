@@ -93,7 +93,7 @@ from modetune.core.updating.verdict import TrustVerdict
 
 @dataclass(frozen=True, slots=True)
 class RunCounts:
-    """Solver runs by kind: started for modes, started for sensitivities, answered by the store.
+    """Solver runs by kind: started for modes, started for sensitivities, cached.
 
     core_s, licence_s: cores and licences times the time that jobs held them, failed ones too.
     """
@@ -107,8 +107,7 @@ class RunCounts:
     @property
     def sentence(self) -> str:
         return (
-            f"solver runs: {self.modal} modal, {self.sensitivity} sensitivity, {self.reused} "
-            "answered by the store"
+            f"solver runs: {self.modal} modal, {self.sensitivity} sensitivity, {self.reused} cached"
         )
 
     def plus(self, other: RunCounts) -> RunCounts:

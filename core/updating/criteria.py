@@ -21,7 +21,7 @@ EIGENVALUE_DEVIATION = 0.004
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """e1: largest relative frequency error and least MAC of a model that agrees with its test.
+    """e1: largest relative frequency error and lowest MAC of a model that agrees with its test.
 
     The MAC counts wherever shapes were measured, also if the residual leaves them out.
     """

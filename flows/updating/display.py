@@ -36,7 +36,7 @@ from modetune.flows.updating.record import CampaignRun
 
 
 def iteration_line(record: IterationRecord) -> str:
-    """A sentence: how near the test the model is, what was decided, and what it cost."""
+    """Return one line: the difference from the test, the decision, and the cost."""
     row = iteration_row(record)
     shown = {
         column.name: column.shown(getattr(row, column.name)) for column in columns_of(IterationRow)
@@ -44,12 +44,12 @@ def iteration_line(record: IterationRecord) -> str:
     said = f"frequencies within {shown['largest_error']} % (mean {shown['mean_error']} %)"
     if math.isfinite(row.least_mac):
         said += f", MAC at least {shown['least_mac']}"
-    notes = [said] if record.accepted else [f"{said}, which is not kept"]
+    notes = [said] if record.accepted else [f"{said}, not accepted"]
     if record.number and record.sensitivity_age:
         age = record.sensitivity_age
-        notes.append(f"by a sensitivity of {age} iteration{'' if age == 1 else 's'} ago")
+        notes.append(f"with a sensitivity from {age} iteration{'' if age == 1 else 's'} ago")
     if record.sensitivity_skipped:
-        notes.append("no new sensitivity, the errors change too little for one (e2)")
+        notes.append("no new sensitivity: the errors change too little (e2)")
     if record.decision and record.number:
         notes.append(record.decision)
     runs = [
@@ -57,7 +57,7 @@ def iteration_line(record: IterationRecord) -> str:
         for number, kind in ((row.modal_runs, "modal"), (row.sensitivity_runs, "sensitivity"))
         if number
     ]
-    without = "answered by the store" if row.reused else "no solver job"
+    without = "cached" if row.reused else "no solver job"
     ran = " and ".join(runs) or without
     name = f"iteration {record.number}" if record.number else "start"
     return f"{name}: {'; '.join([*notes, ran])}, {shown['wall_s']} s"

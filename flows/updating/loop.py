@@ -554,7 +554,7 @@ def _distance(evaluation: Evaluation) -> str:
         worst = int(np.argmax(np.abs(errors)))
         text = f"largest frequency error {100 * errors[worst]:+z.2f} %"
     mac = evaluation.pairing.judged_mac
-    text += f", least MAC {mac.min():.3f}" if np.isfinite(mac).all() else ""
+    text += f", lowest MAC {mac.min():.3f}" if np.isfinite(mac).all() else ""
     return text + (f"; not met: {', '.join(evaluation.unmet)}" if evaluation.unmet else "")
 
 

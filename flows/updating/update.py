@@ -136,8 +136,8 @@ def log_iterations(record: CampaignRecord, logged: int) -> int:
     for item in record.iterations[logged:]:
         row = iteration_row(item)
         logger.info(
-            "iteration %d: largest frequency error %.2f %%, least MAC %.3f, %d + %d runs, %d from "
-            "the store, %.1f s; %s",
+            "iteration %d: largest frequency error %.2f %%, lowest MAC %.3f, %d + %d runs, %d "
+            "cached, %.1f s; %s",
             row.iteration, 100.0 * row.largest_error, row.least_mac, row.modal_runs,
             row.sensitivity_runs, row.reused, row.wall_s, row.decision or "evaluated",
         )  # fmt: skip

@@ -309,7 +309,7 @@ def _rest(draft: Draft) -> Iterator[str]:
         yield "  shape_deviation: 0.05"
     yield ""
     yield "update:"
-    yield "  # agreement that ends it: the largest frequency error and the least MAC"
+    yield "  # agreement that ends it: the largest frequency error and the lowest MAC"
     yield "  e1: {frequency: 0.01, mac: 0.9}"
 
 

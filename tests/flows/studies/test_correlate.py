@@ -330,7 +330,7 @@ def test_a_campaign_beside_a_record_is_run_and_seen_by_its_sensors(
     (tmp_path / "chain.yaml").write_text("name: chain")
     before = bench.runs()
     found = correlate_sources(source(tmp_path / "chain.yaml"), source(run_folder), "initial")
-    assert bench.runs() == before  # the first model of the record, answered by the store
+    assert bench.runs() == before  # the first model of the record, cached
     assert [pair.difference for pair in found.pairs] == pytest.approx([0.0] * 6, abs=1e-12)
 
 

@@ -29,7 +29,7 @@ def test_runs_and_iterations_and_the_end_are_logged(bench: Any, watcher: Any) ->
     )
     text = (bench.folder / "run" / "campaign.log").read_text()
     assert text.count("retry 1 of 1") == 1  # below the program that was killed
-    assert sum(" iteration " in f" {line}" and "least MAC" in line for line in lines) == len(
+    assert sum(" iteration " in f" {line}" and "lowest MAC" in line for line in lines) == len(
         record.iterations
     )
     assert lines[-1].strip() == f"converged: {record.reason}"
