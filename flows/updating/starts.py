@@ -1,22 +1,22 @@
 """The search for distinct local minima from several starts, and the choice of the best one.
 
-Starts are the campaign's own and a Latin hypercube within the bounds. Where modes come from
-matrices, all searches run on reduced models, which take milliseconds a point and no solver run:
+The starts are the campaign's own and a Latin hypercube within the bounds. Where modes come from
+matrices, all searches run on reduced models, in milliseconds a point and without solver runs:
 
-    from each start    the campaign's loop, then polishing (`core/updating/minima`)
-    at each end        a saddle is left to both sides by a kick along its negative curvature
-    between ends       one minimum or two: the misfit on a relaxed path, modes paired again
-    at the best one    exchanges of its values that have the same misfit
+    from each start    run the campaign's loop, then polish its end (`core/updating/minima`)
+    at each end        if it is a saddle, search on both sides along its negative curvature
+    between ends       one minimum or two: compute the misfit on a relaxed path, pairing modes again
+    at the best end    find exchanges of its values with the same misfit
 
-A minimum that reduced models find far from the point that they were made at is looked at with the
-modes of all unknowns, and with a reduced model made there. Without matrices only starts that the
-campaign requests are run, by the solver, and the sensitivities at two ends predict the misfit
-between them.
+If reduced models find a minimum far from the point that they were made at, its modes are computed
+with all unknowns, and the search is repeated with a reduced model made there. Without matrices the
+solver runs only the starts that the campaign requests, and the sensitivities at two ends predict
+the misfit between them.
 
-**Choice.** The lowest objective of the campaign, prior included. Within a difference of 6.6
-(chi-square, 1 degree of freedom, 1 %; times what the model's error adds to noise) an end that meets
-e1 comes first, then the lower misfit of
-all measured frequencies and shapes, each at its deviation, whether it has a weight or not.
+**Choice.** The best end has the lowest objective of the campaign, prior included. Within a
+difference of 6.6 (chi-square, 1 degree of freedom, 1 %; multiplied by the ratio of the remaining
+misfit to noise) an end that meets e1 comes first, then the one with the lower misfit of all
+measured frequencies and shapes, each at its deviation, even if its weight is zero.
 """
 
 from __future__ import annotations
@@ -69,19 +69,19 @@ from modetune.flows.updating.step import objective, objective_slopes
 
 logger = logging.getLogger(__name__)
 
-#: Starts, the campaign's own among them.
+#: Number of starts, including the campaign's own.
 TRIED = 12
-#: ... where the test leaves fewer spare values than there are parameters: second minima are common
-#: then, and one with a twelfth of the starts is found by 63 others in 99 % of all cases.
+#: ... if there are fewer spare measured values than parameters: other minima are then common, and
+#: 63 more starts find one that attracts a twelfth of them in 99 % of all cases.
 MANY = 64
-#: Ends whose curvature is computed.
+#: Number of ends whose curvature is computed.
 CURVED = 8
-#: Standard errors by which the ends of one minimum scatter; beyond, they are a valley.
+#: Standard errors by which ends of one minimum may differ; if they differ more, it is a valley.
 SCATTER = 3.0
-#: Elements of a model whose modes are the solver's own up to which matrices in the store serve for
-#: other starts: their factors take seconds and little memory.
+#: Up to this number of elements, stored matrices are used for other starts even if the solver
+#: computes the modes: factors of so small a model take seconds and little memory.
 SMALL = 10_000
-#: Failures of a point that do not concern the campaign.
+#: Errors of one point that do not stop the campaign.
 FAILED = (SolverError, ModesError, ModelError)
 #: Kinds of response whose data `data_misfit` takes from the pairs.
 OF_PAIRS = ("frequencies", "shapes", "mac")
@@ -91,10 +91,10 @@ OF_PAIRS = ("frequencies", "shapes", "mac")
 class StartEnd:
     """The end of a search.
 
-    start: (n_parameters,), NaN where it came from another end; updated: (n_parameters,), None where
-    it failed. misfit: the campaign's objective; data_misfit: of all measured data. agrees: whether
-    e1 holds; saddle: whether it is one, which other ends left. evaluation: on reduced models;
-    record: of an update by the solver.
+    start: (n_parameters,), NaN if the search began at another end. updated: (n_parameters,), None
+    if it failed. misfit: the campaign's objective. data_misfit: chi-square of all measured data.
+    agrees: e1 is met. saddle: a saddle, from which other searches continued. evaluation: on reduced
+    models. record: of an update by the solver.
     """
 
     start: Floats
@@ -110,7 +110,7 @@ class StartEnd:
 
     @property
     def place(self) -> Floats:
-        """The logarithms of its values."""
+        """Return the logarithms of the updated values, (n_parameters,)."""
         assert self.updated is not None
         return np.asarray(np.log(self.updated))
 
@@ -121,7 +121,7 @@ def failed(start: Floats, error: SolverError | ModesError | ModelError) -> Start
 
 
 def end_of(campaign: Campaign, start: Floats, record: CampaignRecord) -> StartEnd:
-    """Return the end of an update by its record, with the misfit of the minimum ahead, linear."""
+    """Return the end of an update from its record, with its minimum misfit by linear estimate."""
     best, slopes = record.best, _last_sensitivity(record)
     here = objective(campaign, record.updated, best.residual, _factor(record))
     if record.trust is not None and slopes.size:
@@ -159,8 +159,10 @@ def data_misfit(campaign: Campaign, errors: Floats, pairing: Pairing, residual: 
 
 
 def drawn_starts(campaign: Campaign, n: int) -> Floats:
-    """The campaign's own start and others, (n, n_parameters): a Latin hypercube within the bounds,
-    with one stratum for each in every parameter."""
+    """Return n starts, (n, n_parameters): the campaign's own, then a Latin hypercube in the bounds.
+
+    Each of the others has its own stratum in every parameter.
+    """
     parameters, seed = campaign.parameters, campaign.update.seed
     draws = latin_hypercube(n - 1, len(parameters), np.random.default_rng(seed))
     others = parameters.lower + draws * (parameters.upper - parameters.lower)
@@ -168,9 +170,9 @@ def drawn_starts(campaign: Campaign, n: int) -> Floats:
 
 
 def best_end(ends: Sequence[StartEnd]) -> int:
-    """Return the position of the best end; the first one where it is as good.
+    """Return the position of the best end, preferring the first if it is as good.
 
-    Raises the first error where all failed.
+    Raises the first error if all searches failed.
     """
     lowest = min(end.misfit for end in ends)
     if not np.isfinite(lowest):
@@ -179,15 +181,15 @@ def best_end(ends: Sequence[StartEnd]) -> int:
     near = [n for n, end in enumerate(ends) if end.misfit <= lowest + rise and not end.saddle]
     agreeing = [n for n in near if ends[n].agrees] or near
     least = min(ends[n].data_misfit for n in agreeing)
-    # A difference that reduced models do not resolve is none.
+    # Ignore differences below the accuracy of reduced models.
     alike = [n for n in agreeing if ends[n].data_misfit <= least + 0.1 + 1e-3 * least]
     return 0 if 0 in alike else min(alike, key=lambda n: ends[n].misfit)
 
 
 def _times_noise(best: StartEnd) -> float:
-    """Return how many times more than noise the best end leaves, at least 1.
+    """Return the ratio of the remaining misfit to measurement noise at the best end, at least 1.
 
-    Where that is an error of the model, differences between misfits mean that much less (Birge).
+    A modelling error makes differences between misfits less significant by this ratio (Birge).
     """
     found = best.record.best if best.record is not None else best.evaluation
     if found is None or best.updated is None:
@@ -200,9 +202,9 @@ def _times_noise(best: StartEnd) -> float:
 class FoundMinima:
     """The ends of all searches and their minima.
 
-    The first `n_starts` ends are of the starts, the campaign's own first; others left a saddle or
-    are exchanges. labels: (n_ends,), numbers of minima by their misfit, -1 for none. moves: whether
-    the best end is not where the campaign's own update ended.
+    The first `n_starts` ends belong to the starts, the campaign's own first; the others come from
+    saddles or exchanges. labels: (n_ends,), the number of each end's minimum in order of misfit, -1
+    for none. moves: the best end differs from the end of the campaign's own update.
     """
 
     campaign: Campaign
@@ -214,13 +216,13 @@ class FoundMinima:
 
     @property
     def better(self) -> Floats:
-        """The best end, (n_parameters,)."""
+        """Return the parameters of the best end, (n_parameters,)."""
         updated = self.ends[self.chosen].updated
         assert updated is not None
         return updated
 
     def spread(self, answer: CampaignRecord) -> StartSpread:
-        """Return what the record of the answer keeps of them."""
+        """Return the summary of all ends for the record of the answer."""
         ends, chosen, labels = list(self.ends), self.chosen, self.labels
         names = np.array(self.campaign.parameters.names)
         own = replace(ends[chosen], updated=answer.updated)
@@ -263,13 +265,14 @@ class FoundMinima:
 
 
 def _alike(one: StartEnd, other: StartEnd) -> bool:
-    """Whether two misfits are equal as far as reduced models and updating resolve them."""
+    """Return whether two misfits are equal within the accuracy of reduced models and updating."""
     return abs(one.misfit - other.misfit) <= 0.1 + 1e-3 * one.misfit
 
 
 def minima_by_slopes(campaign: Campaign, ends: Sequence[StartEnd]) -> FoundMinima:
-    """Return the minima among updates by the solver, by what the sensitivities at two ends predict
-    of the misfit between them."""
+    """Return the minima among updates by the solver.
+
+    The sensitivities at two ends predict the misfit between them."""
     chosen = best_end(ends)
 
     def predicted(one: StartEnd, shares: Floats, way: Floats) -> Floats:
@@ -296,7 +299,7 @@ def minima_by_slopes(campaign: Campaign, ends: Sequence[StartEnd]) -> FoundMinim
 
 
 def _last_sensitivity(record: CampaignRecord) -> Floats:
-    """The newest sensitivity of a record, empty where it has none of the end's rows."""
+    """Return the newest sensitivity of a record; empty if its rows are not those of the end."""
     size = record.best.residual.values.size
     had = [item.sensitivity for item in record.iterations if len(item.sensitivity) == size]
     return had[-1] if had and size else np.zeros((0, 0))
@@ -310,7 +313,7 @@ def _factor(record: CampaignRecord) -> float:
 class SurrogateMisfit(Misfit):
     """The objective of a campaign on reduced models, over log parameters.
 
-    known: evaluations that modes are tracked from; the best pairs count.
+    known: evaluations from which modes are tracked; the pairs with the lowest misfit are used.
     """
 
     def __init__(
@@ -338,7 +341,7 @@ class SurrogateMisfit(Misfit):
         return MisfitAt(self._value(best), theta * gradient, theta[:, None] * curvature * theta)
 
     def evaluation(self, x: Floats) -> Evaluation | None:
-        """Return the evaluation of the best pairs at a point."""
+        """Return the evaluation at a point with the pairs that have the lowest misfit."""
         found = self._found(x, alone=True)
         return min((item for item, _ in found), key=self._value) if found else None
 
@@ -359,7 +362,7 @@ class SurrogateMisfit(Misfit):
 
 
 class Lowest(Watcher):
-    """Keeps the evaluated point of a loop with the lowest objective."""
+    """The watcher of a loop that keeps the point with the lowest objective."""
 
     def __init__(self, misfit: SurrogateMisfit) -> None:
         self.misfit = misfit
@@ -414,7 +417,7 @@ class Search:
                 return failed(start, error)
             status = "lost a mode"
         if lowest.found is None:
-            return failed(start, ModesError("no point keeps the limits of responses"))
+            return failed(start, ModesError("no point is within the limits of responses"))
         return self.settled(start, lowest.found, f"{status} ({REDUCED})")
 
     def settled(self, start: Floats, found: Evaluation, outcome: str) -> StartEnd:
@@ -435,7 +438,7 @@ class Search:
         )
 
     def beyond(self, end: StartEnd, places: Sequence[Floats]) -> list[StartEnd]:
-        """Return the ends of searches from points beside a saddle."""
+        """Return the ends of searches from points on both sides of a saddle."""
         found = []
         for place in places:
             there = self.end(np.full(place.size, np.nan), np.exp(place))
@@ -444,9 +447,9 @@ class Search:
         return found
 
     def without_saddles(self, ends: Sequence[StartEnd]) -> list[StartEnd]:
-        """Return ends with those that lie beyond saddles among them.
+        """Return the ends, with those of searches that continue from saddles.
 
-        High saddles are left only while no end meets e1; else what lies beyond is of no interest.
+        A search continues from a high saddle only while no end meets e1.
         """
         ends, curved = list(ends), list[StartEnd]()
         lowest, agrees = min(end.misfit for end in ends), any(end.agrees for end in ends)
@@ -465,7 +468,7 @@ class Search:
         return ends
 
     def with_exchanges(self, ends: Sequence[StartEnd]) -> list[StartEnd]:
-        """Return ends with the exchanges of the best one that no search found."""
+        """Return the ends, with exchanges of the best one that no search has found."""
         ends = list(ends)
         best = ends[best_end(ends)]
         if best.evaluation is None:
@@ -496,7 +499,7 @@ def _near(one: StartEnd, other: StartEnd) -> bool:
 
 
 class OtherStarts:
-    """The search from other starts of a campaign, whose update the evaluator serves."""
+    """The search from other starts of a campaign that is being updated with this evaluator."""
 
     def __init__(
         self, campaign: Campaign, evaluator: Evaluator, foresight: Foresight | None
@@ -509,14 +512,14 @@ class OtherStarts:
         self._ends: dict[bytes, StartEnd] = {}
 
     def seek(self, record: CampaignRecord) -> None:
-        """Search ahead on reduced models while the solver confirms where the update ended."""
+        """Search on reduced models while the solver confirms the end of the update."""
         states = [] if self.foresight is None else self.foresight.states
         if states and self._wanted:
             with one_thread():
                 self._from_starts(self._search(states, record), states, record)
 
     def tried(self, record: CampaignRecord, last: Evaluation) -> FoundMinima | None:
-        """Return the minima after an update has ended; None where they are not sought.
+        """Return the minima after an update has ended; None if there is no search.
 
         record: of the update; last: its end.
         """
@@ -541,7 +544,7 @@ class OtherStarts:
                 labels = self._labels(ends, searches)
         chosen, converged = best_end(ends), record.status == "converged"
         if converged and labels[chosen] == labels[0]:
-            chosen = 0  # good enough: the way to the minimum is reported
+            chosen = 0  # good enough: the distance to the minimum is reported
         here = objective(self.campaign, last.theta, last.residual, _factor(record))
         moves = chosen > 0 or (not converged and here > own.misfit + RISE)
         return FoundMinima(self.campaign, tuple(ends), n_starts, labels, chosen, moves)
@@ -555,7 +558,7 @@ class OtherStarts:
         return Search(self.campaign, states, self.evaluator, _factor(record))
 
     def _own(self, search: Search, record: CampaignRecord, last: Evaluation) -> StartEnd | None:
-        """Return the campaign's own end, polished; None where the models differ from its modes."""
+        """Return the campaign's own end, polished; None if reduced models do not give its modes."""
         found = search.misfit(last).evaluation(np.log(last.theta))
         if found is None or float(np.max(np.abs(found.errors - last.errors))) > CONFIRMED:
             logger.info("no other starts are tried: matrices differ from the solver's model")
@@ -576,14 +579,14 @@ class OtherStarts:
         return ends
 
     def _number(self, record: CampaignRecord) -> int:
-        """The number of starts."""
+        """Return the number of starts."""
         scarce = record.trust is None or record.trust.freedom < len(self.campaign.parameters)
         return self.campaign.update.starts or (MANY if scarce else TRIED)
 
     def _from_starts(
         self, search: Search, states: list[CaseState], record: CampaignRecord, every: bool = False
     ) -> list[StartEnd]:
-        """Return the ends of the starts besides the campaign's own, at first of few, each once."""
+        """Return the ends of the starts other than the campaign's own: first a few, then more."""
         if self._states is not states:
             self._states, self._ends = states, {}
         n = self._number(record)
@@ -607,9 +610,9 @@ class OtherStarts:
     def _looked(
         self, ends: list[StartEnd], searches: list[Search], labels: Integers, last: Evaluation
     ) -> bool:
-        """Search again, by models made there, at other minima that fit as well or better.
+        """Search again at other minima that fit as well or better, on models made there.
 
-        Returns whether there were any.
+        Return whether there were any.
         """
         any_looked = False
         for number in range(labels.max() + 1):
@@ -628,7 +631,7 @@ class OtherStarts:
                     raise
                 states = []
             for n in members if not states else ():
-                ends[n] = replace(ends[n], misfit=np.inf, outcome="not confirmed by all unknowns")
+                ends[n] = replace(ends[n], misfit=np.inf, outcome="not confirmed by the full model")
             if states:
                 search = Search(self.campaign, states, self.evaluator, searches[best].factor)
                 with one_thread():
@@ -639,10 +642,10 @@ class OtherStarts:
         return any_looked
 
     def _reduced_states(self, last: Evaluation) -> list[CaseState]:
-        """The cases on models of a few unknowns; none where one of them has no such model.
+        """Return the cases on reduced models; none if a case has no such model.
 
-        Matrices are solved whole where they are few, else reduced around an evaluation; where modes
-        come from stored matrices the newest reduced models are at hand, once a step was taken.
+        Small matrices are solved in full, larger ones are reduced around an evaluation. Where modes
+        come from stored matrices, the newest reduced models exist after the first step.
         """
         foresight = self.foresight
         if foresight is None:
@@ -650,12 +653,12 @@ class OtherStarts:
             return _reduced_around(self.evaluator, last) if served else []
         if foresight.states or not self.campaign.update.starts:
             return foresight.states
-        # The solver's own, which confirmed it, have no more modes than are compared.
+        # The solver's confirmation has only the modes that are compared.
         return _reduced_around(self.evaluator, _in_full(self.evaluator, last.theta, last))
 
 
 def _served(state: CaseState) -> bool:
-    """Whether a case's matrices are there for all values, so that no solver run is needed."""
+    """Return whether the store has a case's matrices for all values, so no solver run is needed."""
     finder, solver = state.finder, state.case.solver
     if not isinstance(finder, BySolver) or solver.deck.summary.matrices is not None:
         return True
@@ -670,7 +673,7 @@ def _served(state: CaseState) -> bool:
 
 
 def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluation:
-    """A point by the campaign's own modes. Raises what keeps it from having any."""
+    """Return a point evaluated with the campaign's own modes. Raises as `Evaluator.evaluate`."""
     (found,) = evaluator.points("starts", theta[None], [known])
     if not isinstance(found, Evaluation):
         raise found
@@ -678,8 +681,9 @@ def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluati
 
 
 def _reduced_around(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
-    """The evaluator's cases on models of few unknowns around an evaluation; none where a case has
-    no such model."""
+    """Return the evaluator's cases on reduced models around an evaluation.
+
+    Empty if a case has no such model."""
     states = []
     for state, part in zip(evaluator.used, last.parts, strict=True):
         try:
@@ -692,7 +696,7 @@ def _reduced_around(evaluator: Evaluator, last: Evaluation) -> list[CaseState]:
 
 
 def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
-    """Modes of a model of matrices: of all unknowns where they are few, else reduced."""
+    """Return the modes of a matrix model: in full if it is small, else from a reduced model."""
     if isinstance(state.finder, ByMatrices):
         return state.finder.around(part, state.analysis)
     if not isinstance(state.finder, BySolver):
@@ -709,5 +713,5 @@ def _reduced(state: CaseState, part: CaseEvaluation) -> ModeFinder:
 
 
 def _shift(part: CaseEvaluation) -> float:
-    """Below the spectrum by a tenth of the first elastic eigenvalue, (rad/s)^2."""
+    """Return a shift below the spectrum by a tenth of the first elastic eigenvalue, (rad/s)^2."""
     return -0.1 * float(part.modal.eigenvalues[part.modal.n_rigid])

@@ -1,8 +1,8 @@
 """Steps of a campaign: from an evaluation and its sensitivity to the next point, and their gain.
 
-The default step has a trust region that grows where steps gain what they predict; `step_limit` is
-its first radius. The other forms are limited to a length of `step_limit`. Where there are reduced
-models, the step goes to where updating ends on them, within the same region.
+The default step has a trust region, which grows if steps gain what they predict; `step_limit` is
+its first radius. The other step types are at most `step_limit` long. If there are reduced models,
+the step goes to the end of updating on them, within the same region.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from modetune.core.updating.responses.response import Residual
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 
-#: Steps in which a factor of regularisation is looked for; then it stays, or steps would go round
-#: between the answers of two factors.
+#: Number of steps that search for a regularisation factor. It is then fixed; otherwise steps could
+#: alternate between the solutions of two factors.
 SETTLED = 4
-#: Parameters held back that a sentence names.
+#: Number of limited parameters that a sentence names.
 NAMED = 4
-#: A better step than this one, within lower and upper values; None where there is none.
+#: Returns a better step than this one, within lower and upper values, or None.
 Refined = Callable[[Evaluation, Step, tuple[Floats, Floats]], Step | None]
 
 
 def used_weights(campaign: Campaign, found: Residual) -> Floats:
-    """The weights by which a campaign's step takes a residual, (n_residuals,), as precisions.
+    """Return the weights of a residual in a campaign's step, (n_residuals,), as precisions.
 
-    pseudo_inverse and minimum_norm know none: all that is used counts alike.
+    pseudo_inverse and minimum_norm have no weights: all used residuals count equally.
     """
     if campaign.update.step not in ("pseudo_inverse", "minimum_norm"):
         return found.weights
@@ -54,7 +54,7 @@ def used_weights(campaign: Campaign, found: Residual) -> Floats:
 
 
 def objective(campaign: Campaign, theta: Floats, found: Residual, regularisation: float) -> float:
-    """Return what updating minimises at a point, comparable between distant points.
+    """Return the objective of updating at a point, comparable between distant points.
 
     theta: (n_parameters,); found: the residual there; regularisation: as in `prior_weights`.
     """
@@ -93,10 +93,10 @@ def _times(prior: Floats, offset: Floats) -> Floats:
 
 
 def prior_weights(campaign: Campaign, theta: Floats, regularisation: float) -> Floats | None:
-    """The weights of the initial values in what the step brings down, or None: (n_parameters,), or
-    (n_parameters, n_parameters) where there are fields.
+    """Return the weights of the initial values in the objective, or None.
 
-    regularisation: of the last step, NaN where there was none.
+    They are (n_parameters,), or (n_parameters, n_parameters) with fields. regularisation: of the
+    last step, NaN if there was none.
     """
     if campaign.update.step != "pulled_to_initial":
         return None
@@ -105,9 +105,9 @@ def prior_weights(campaign: Campaign, theta: Floats, regularisation: float) -> F
 
 
 def step_problem(campaign: Campaign, theta: Floats, found: Residual, rows: Floats) -> StepProblem:
-    """All that a step from a set depends on, within the parameters' bounds.
+    """Return the problem of a step from a point, within the parameters' bounds.
 
-    theta: (n_parameters,); found, rows: its residual, and sensitivity by items.
+    theta: (n_parameters,). found: the residual there. rows: its sensitivity by items.
     """
     parameters = campaign.parameters
     return StepProblem(
@@ -125,11 +125,11 @@ def step_problem(campaign: Campaign, theta: Floats, found: Residual, rows: Float
 def way_to_least_misfit(
     campaign: Campaign, theta: Floats, found: Residual, slopes: Floats, regularisation: float
 ) -> tuple[Floats, Floats, Integers]:
-    """How far the least misfit of a campaign lies from a set, (n_parameters,), linear; the changes
-    that bounds and limits hold there, (n_held, n_parameters); and the rows of these limits.
+    """Return the linear distance from a point to a campaign's minimum misfit, (n_parameters,).
 
-    theta: (n_parameters,); found, slopes: residual and sensitivity there; regularisation: of the
-    last step.
+    Also return the changes that bounds and limits prevent there, (n_held, n_parameters), and the
+    rows of these limits. theta: (n_parameters,). found, slopes: residual and sensitivity there.
+    regularisation: of the last step.
     """
     problem = step_problem(campaign, theta, found, slopes)
     problem = replace(problem, weights=used_weights(campaign, found))
@@ -157,10 +157,10 @@ def way_to_least_misfit(
 
 
 class Stepping:
-    """The steps of a loop, and which parameters were held back by the length of a step.
+    """The steps of a loop, and the parameters whose change was limited by the step length.
 
     refined: returns a better step than a linear one, to a point within lower and upper values, or
-    None; lower, upper: (n_parameters,), values that steps keep to.
+    None. lower, upper: (n_parameters,), limits of all steps.
     """
 
     def __init__(self, campaign: Campaign, refined: Refined, lower: Floats, upper: Floats) -> None:
@@ -168,7 +168,7 @@ class Stepping:
         self.refined = refined
         self.lower, self.upper = lower, upper
         self.adapts = campaign.update.step == "trust_region"
-        # By the bounds of the campaign: those of a region around a set are always near.
+        # Use the campaign's bounds: those of a region around a point are always close.
         wide = by_factors(campaign.parameters.lower, campaign.parameters.upper)
         self.logarithmic = wide & self.adapts
         self.held: Counter[str] = Counter()
@@ -177,15 +177,15 @@ class Stepping:
 
     @property
     def first(self) -> TrustRegion:
-        """The region of the first step."""
+        """Return the region of the first step."""
         return TrustRegion(self.campaign.update.step_limit)
 
     def step(self, current: Evaluation, matrix: Matrix, region: TrustRegion) -> Step:
-        """The step from a set by its sensitivity."""
+        """Return the step from a point with its sensitivity."""
         parameters, settings = self.campaign.parameters, self.campaign.update
         low, high = box = self._box(current, region.radius)
         room = np.ones(len(parameters))
-        room[list(matrix.missing)] = 0.0  # nothing is known of what these would do
+        room[list(matrix.missing)] = 0.0  # the effect of these is unknown
         found = current.residual
         problem = replace(
             step_problem(self.campaign, current.theta, found, matrix.values),
@@ -206,7 +206,7 @@ class Stepping:
 
     @property
     def _regularisation(self) -> Factor:
-        """What the next step's factor is, or how it is found."""
+        """Return the next step's factor, or the way to find it."""
         settings = self.campaign.update
         settled = settings.step == "pulled_to_initial" and len(self._factors) >= SETTLED
         return self._factors[-1] if settled else settings.regularisation
@@ -221,13 +221,13 @@ class Stepping:
         change = np.clip(way, self.lower - current.theta, self.upper - current.theta)
         predicted = current.residual.values - matrix.values @ change
         if breach(predicted, current.residual.limits).any():
-            change = np.zeros_like(change)  # a limit lies before it
+            change = np.zeros_like(change)  # a limit would be violated on the way
             predicted = current.residual.values
         step = Step(change, predicted, 0.0, rank=0, condition=np.nan)
         return self.refined(current, step, (self.lower, self.upper)) or step
 
     def halved(self, current: Evaluation, matrix: Matrix, step: Step) -> Step:
-        """A step of half the length."""
+        """Return a step of half the length."""
         change = 0.5 * step.change
         predicted = current.residual.values - matrix.values @ change
         return replace(step, change=change, predicted=predicted)
@@ -235,7 +235,7 @@ class Stepping:
     def shorter(
         self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion
     ) -> tuple[Step, TrustRegion]:
-        """A step of at most half the length, and its region."""
+        """Return a step of at most half the length, and its region."""
         length = self.length(current, step)
         if self.adapts:
             region = region.shrunk(length)
@@ -249,23 +249,23 @@ class Stepping:
     def region_after(
         self, current: Evaluation, matrix: Matrix, step: Step, region: TrustRegion, kept: float
     ) -> TrustRegion:
-        """The region for the step after an accepted one; kept: share of its promise."""
+        """Return the region of the step after an accepted one; kept: achieved share of its gain."""
         self._count(current, step, region)
         if not self.adapts or (matrix.age > 0 and kept < KEPT):
-            return region  # a wrong prediction of an old matrix has no information on the model
+            return region  # a wrong prediction by an old matrix says nothing about the model
         return region.after(self.length(current, step), kept)
 
     def length(self, current: Evaluation, step: Step) -> float:
-        """The largest entry of a step, as its parameters are counted."""
+        """Return the largest entry of a step in the parameters' scale (linear or logarithmic)."""
         return float(np.max(np.abs(self._scale(current).steps(step.change))))
 
     def objective(
         self, current: Evaluation, residual: Floats, step: Step, share: float = 0.0
     ) -> float:
-        """What the step form brings down, for a residual found at a share of the step.
+        """Return the objective of this step type for a residual at a fraction `share` of the step.
 
-        The weights are those of the current set, since weights of shapes grow as these come near;
-        pseudo_inverse and minimum_norm know none. A pull to the initial values counts too.
+        The weights are those of the current point, since weights of shapes grow as shapes come
+        closer; pseudo_inverse and minimum_norm have none. The pull to initial values is included.
         """
         settings, parameters = self.campaign.update, self.campaign.parameters
         weights = current.residual.weights
@@ -281,35 +281,35 @@ class Stepping:
         return float(residual @ (weights * residual)) + pull
 
     def better(self, current: Evaluation, there: Evaluation, step: Step) -> bool:
-        """Whether the end of a step is lower within the limits, or much nearer to them."""
+        """Return whether a step lowers the objective within the limits, or nears them by half."""
         if self.nears_limits(current, there):
             return True
         return not _breach(there).any() and self.gain(current, there, step) > 0.0
 
     def nears_limits(self, current: Evaluation, there: Evaluation) -> bool:
-        """Whether limits that the current set breaks are broken by half of it at most."""
+        """Return whether every violation of a limit is at most half as large after the step."""
         before = _breach(current)
         return bool(before.any() and (_breach(there) <= 0.5 * before).all())
 
     def gain(self, current: Evaluation, there: Evaluation, step: Step) -> float:
-        """How much lower the objective is at the end of a step than at the current set."""
+        """Return the decrease of the objective from the current point to the end of a step."""
         before = self.objective(current, current.residual.values, step)
         return before - self.objective(current, there.residual.values, step, 1.0)
 
     @property
     def held_back(self) -> str:
-        """How far the length of steps was the reason that updating got no further, in words."""
+        """Return a sentence about how often the step limit was active; empty without steps."""
         if not self.taken:
             return ""
         limit = f"`step_limit` ({self.campaign.update.step_limit:g})"
         if not self.held:
-            return f"{limit} held none of {self.taken} steps back"
+            return f"{limit} limited none of {self.taken} steps"
         names = ", ".join(f"{name} in {n}" for name, n in self.held.most_common(NAMED))
         more = f" and {len(self.held) - NAMED} others" if len(self.held) > NAMED else ""
-        return f"{limit} held back {names}{more} of {self.taken} steps"
+        return f"{limit} limited {names}{more} of {self.taken} steps"
 
     def _count(self, current: Evaluation, step: Step, region: TrustRegion) -> None:
-        """Keep which parameters a step would have moved further, had it been allowed to."""
+        """Count the parameters that a longer step would have changed more."""
         self.taken += 1
         steps = np.abs(self._scale(current).steps(step.change))
         for place in np.flatnonzero(steps >= HELD * region.radius).tolist():
@@ -319,7 +319,7 @@ class Stepping:
         return Scale(current.theta, self.logarithmic)
 
     def _box(self, current: Evaluation, radius: float) -> tuple[Floats, Floats]:
-        """Where a step of at most this length may end."""
+        """Return lower and upper values of the end of a step of at most this length."""
         scale, reach = self._scale(current), np.full(current.theta.size, radius)
         return (
             np.maximum(self.lower, current.theta + scale.changes(-reach)),
@@ -328,5 +328,5 @@ class Stepping:
 
 
 def _breach(evaluation: Evaluation) -> Floats:
-    """How far each value of a set is outside of its limits, (n_residuals,)."""
+    """Return by how much each value exceeds its limits, (n_residuals,)."""
     return breach(evaluation.residual.values, evaluation.residual.limits)

@@ -112,7 +112,7 @@ def test_used_up_iterations_name_what_the_limit_held_back(tmp_path: Path) -> Non
     }
     record = storeys(tmp_path, truth, 3, bounds=(0.1, 11.0), **short)
     assert record.status == "max_iterations"
-    assert "`step_limit` (0.05) held back" in record.reason
+    assert "`step_limit` (0.05) limited" in record.reason
     assert "k2 in 3" in record.reason
 
 
@@ -120,7 +120,7 @@ def test_used_up_iterations_say_where_no_limit_was_the_reason(tmp_path: Path) ->
     truth = np.random.default_rng(1).uniform(0.9, 1.1, 6)
     record = storeys(tmp_path, truth, 4, max_iterations=1)
     assert record.status == "max_iterations"
-    assert "`step_limit` (0.2) held none of 1 steps back" in record.reason
+    assert "`step_limit` (0.2) limited none of 1 steps" in record.reason
 
 
 @pytest.mark.parametrize("fault", ["short", "nan"])
