@@ -1,4 +1,4 @@
-"""Updating parameters: what of the model may change, by how much, and where it stands.
+"""Updating parameters: what may change in the model, by how much, and its present value.
 
 A parameter's value is relative to the deck's: 1 leaves the deck as it is, 1.1 raises the quantity
 by 10 %. All steps are taken in these values, so parameters of any unit are of one size and the
@@ -6,8 +6,8 @@ equations need no further normalisation (thesis, appendix, on magnitudes of E an
 
 Absolute and additive parameters, which may start at zero, are counted so too: what a user gives and
 reads, the number itself or what is added to the deck's, is `origin + scale * value`, with a scale
-that makes the start 1 and keeps all values within the bounds above zero. Numbers that an expression
-of other parameters gives have no value of their own: they follow.
+that makes the start 1 and keeps all values within the bounds above zero. Numbers given by an
+expression of other parameters follow from these.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def counted_from(
 def assigned(parameters: Iterable[Parameter], values: Values) -> list[tuple[Parameter, float]]:
     """Parameters with their values, those of expressions with what these give.
 
-    Without values of all that it names an expression gives nothing, and the deck's number stands.
+    Without values of all names in an expression the deck's number remains.
     Raises ModelError where one has no value.
     """
     known = list(parameters)
@@ -225,7 +225,7 @@ def driven_by(parameter: Parameter, parameters: Iterable[Parameter]) -> list[Par
 class ParameterSet:
     """The parameters of a campaign in their fixed order; values travel as (n_parameters,).
 
-    dependents: numbers that expressions of them give, which have no freedom of their own.
+    dependents: numbers given by expressions of the parameters.
     """
 
     parameters: tuple[Parameter, ...]
@@ -280,7 +280,7 @@ class ParameterSet:
         return dict(zip(self.names, theta.tolist(), strict=True))
 
     def at_bounds(self, theta: Floats) -> tuple[str, ...]:
-        """Names of the parameters that stand on a bound."""
+        """Names of the parameters on a bound."""
         on = np.isclose(theta, self.lower, atol=1e-9) | np.isclose(theta, self.upper, atol=1e-9)
         return tuple(name for name, hit in zip(self.names, on.tolist(), strict=True) if hit)
 

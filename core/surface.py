@@ -4,7 +4,7 @@ Outer faces are those of shells, and those of solids that belong to one solid on
 more nodes than wanted they are thinned by clustering (Rossignac and Borrel 1993): a grid of cubes
 is laid over the box round the mesh, as fine as the wanted number allows, and all nodes in a cube
 become one of them, so that results are asked for at real nodes. Of a cube's nodes a corner of the
-structure goes before an edge and an edge before the rest, so that outlines stay; among equals the
+structure goes before an edge and an edge before other nodes, which keeps outlines; among equals the
 one nearest to their mean. A plate thinner than a cube becomes one sheet, a bar a line.
 
 Everything after the first rounding (coordinates to 2^20 steps of the longest side) is done in
@@ -90,7 +90,7 @@ class Surface:
 
 
 def display_surface(mesh: Mesh, at_most: int = 4000) -> Surface:
-    """The mesh's surface on at most so many of its nodes.
+    """Return the mesh's surface on at most `at_most` of its nodes.
 
     A mesh without faces and lines gives its nodes alone. Deterministic: see the module.
     """
@@ -317,7 +317,7 @@ def _ranks(edges: Integers, steps: Integers) -> Integers:
 
 
 def _clusters(steps: Integers, ranks: Integers, at_most: int) -> tuple[Integers, Integers]:
-    """Nodes that stand for the others, at most so many, and for each node which of them does."""
+    """Return at most `at_most` representative nodes, and the representative of each node."""
     fine, coarse = FINEST, 1  # cubes along the longest side: too many, and not too many
     while fine - coarse > 1:
         middle = (fine + coarse) // 2
@@ -337,7 +337,7 @@ def _clusters(steps: Integers, ranks: Integers, at_most: int) -> tuple[Integers,
 
 
 def _cubes(steps: Integers, along: int) -> Integers:
-    """A number for the cube of each node, with so many cubes along the longest side."""
+    """Return a number for the cube of each node, with `along` cubes along the longest side."""
     cube = steps * along // STEPS
     return np.asarray((cube[:, 0] * along + cube[:, 1]) * along + cube[:, 2])
 

@@ -102,7 +102,7 @@ def damped_modes(
     """The damped modes that real ones become.
 
     shapes: (n, n_modes), mass-normalised, those of the undamped system; wanted: positions. like:
-    (n_wanted,), roots s of a test, by which those are told apart that damping mixes. Raises
+    (n_wanted,), roots s of a test, which separate modes that damping mixes. Raises
     ModesError where a mode is overdamped, or mixed without a test.
     """
     roots, vectors = _on_real_modes(system, shapes)

@@ -99,14 +99,14 @@ ROUNDS = 4
 RANDOM_TOLERANCE = 2e-6
 #: The way of modes that an earlier model's factors led to.
 KEPT = "kept factors"
-#: Eigenvalues this close, relative to their distance from the shift, are not told apart.
+#: Distance of eigenvalues, relative to that from the shift, below which they count as equal.
 _SAME = 1e-6
 #: Blocks with an earlier model's factors: fewer are too few to try, more never came to an end.
 LEAST_BLOCKS, MOST_BLOCKS = 3, 8
 #: The same with factors in single precision, for which there are no others.
 SINGLE_BLOCKS = 30
 #: Solved columns that a column of such a block costs, with its products and its part of the basis,
-#: and that a mode costs with factors of its own (three blocks, the later ones smaller).
+#: and that a mode costs with exact factors (three blocks, the later ones smaller).
 BLOCK_COLUMN, KRYLOV_MODE = 2.5, 4.5
 
 
@@ -264,8 +264,8 @@ class ModeSolver:
     """
 
     def __init__(self, *, count: bool = True) -> None:
-        """count: whether to prove by inertia that no mode is missing; one factorisation more.
-        What a solution is not told otherwise."""
+        """count: whether to prove by inertia that no mode is missing, which takes one more
+        factorisation; the default of each solution."""
         self._count = count
         self._pencil: Pencil | None = None
         self._shift: float | None = None
@@ -341,7 +341,7 @@ class ModeSolver:
         shift: float,
         n_modes: int | None = None,
     ) -> None:
-        """Only the factors of a model, for one that is like it. As `solve`, shift as it told.
+        """Factorise a model for a similar one. Arguments as `solve`, with the shift it returned.
 
         n_modes: that will be looked for with them, for which memory has to be left."""
         if self._pencil is None or not self._pencil.update(stiffness, mass):
@@ -403,7 +403,7 @@ class ModeSolver:
             _, found, there = _below_last(pencil, solved)
             if there == found:
                 return replace(solved, counted=True), start
-        logger.info("the model is too far from the one factorised: factorised anew")
+        logger.info("the model is too far from the factorised one: factorising again")
         return None, start if pairs is None else pairs.vectors
 
     def _from_start(
@@ -549,7 +549,7 @@ def _rayleigh_ritz(pencil: Pencil, start: Floats) -> tuple[Floats, Floats]:
 
 
 def similar_vectors(n_modes: int) -> int:
-    """Vectors beside the factors of a similar matrix."""
+    """Return the number of vectors in memory with the factors of a similar matrix."""
     return DAVIDSON * (n_modes + GUARD)
 
 
@@ -617,8 +617,7 @@ def modes_in_single_precision(
     bounds = solved.residuals * np.abs(1.0 - shift / solved.eigenvalues)
     logger.info(
         "%d modes of %d equations with factors in single precision: residuals at most %.1e, "
-        "eigenvalues within %.1e of their own size, and a mode that random vectors lack is not "
-        "counted",
+        "eigenvalues within %.1e, relative, and a mode that random vectors lack is not counted",
         n_modes,
         pencil.n,
         float(solved.residuals.max()),

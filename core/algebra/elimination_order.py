@@ -76,7 +76,7 @@ def _rows_alike(reached: sparse.csr_array) -> NDArray[np.bool_]:
 
 
 def _reached(columns: NDArray[Any], starts: NDArray[Any], width: int) -> sparse.csr_array:
-    """A pattern (n_rows, width) of columns that may stand more than once in a row."""
+    """Return a pattern (n_rows, width) from columns that may occur more than once in a row."""
     marks = np.ones(columns.size, dtype=np.bool_)
     pattern = sparse.csr_array((marks, columns, starts.copy()), shape=(starts.size - 1, width))
     pattern.sum_duplicates()

@@ -1,7 +1,7 @@
 """Where the factors of a matrix have room: in memory, in single precision, or in files.
 
-PARDISO tells after its symbolic phase what the factors will take. With that, what this process
-holds already and what its vectors will take, memory suffices or does not. Where it does not, and
+PARDISO states after its symbolic phase how much memory the factors will take. Added to what this
+process holds and what its vectors will take, it fits or does not. If it does not, and
 whoever asks can do with the factors of a similar matrix, half as much is taken in single precision.
 Where that does not fit either MUMPS puts them in files, and the vectors go there with them. The
 order of the unknowns is the same in all cases, and found once. Files of factors are written once a
@@ -29,10 +29,10 @@ from modetune.core.modes import Integers
 
 logger = logging.getLogger(__name__)
 
-#: Of so many vectors one is worked on in memory while the others are in files.
+#: Number of vectors in files for each one in memory.
 WORKED_ON = 4
-#: Share of a machine's or container's memory that is planned with: the rest is the system's, and
-#: of processes that nobody counted.
+#: Share of a machine's or container's memory that is used for planning: the rest is left to the
+#: system and to other processes.
 PLANNED = 0.9
 #: Names the memory that a program started by a campaign may take, bytes.
 MEMORY_VARIABLE = "MODETUNE_MEMORY_BYTES"
@@ -80,7 +80,7 @@ def roomy_factors(
 ) -> Pardiso | Mumps:
     """A matrix with its unknowns ordered, for factors in memory or in files.
 
-    upper, matching: as `Pardiso` has them; columns: vectors (n,) that will be in memory beside the
+    upper, matching: as for `Pardiso`; columns: vectors (n,) that will be in memory with the
     factors; similar: the same where the factors are those of a similar matrix, None where these
     will not do. Raises as `Pardiso` does, SolverExhausted where neither memory nor disk suffices.
     """
@@ -135,8 +135,8 @@ def _roomy(
     told, vector = factors.memory, 8 * factors.n
     vectors, peak = vector * (similar or 0 if single else columns), told.peak
     text = (
-        f"the factors of {factors.n} equations{factors.held} take {_gb(peak)}, beside "
-        f"{_gb(held + vectors)} of what else is in memory, and {_gb(room.memory_bytes)} may be "
+        f"the factors of {factors.n} equations{factors.held} take {_gb(peak)}, in addition to "
+        f"{_gb(held + vectors)} in memory, and {_gb(room.memory_bytes)} may be "
         f"taken ({room.memory_key}, or else what machine or container have)"
     )
     if held + vectors + peak <= room.memory_bytes:
@@ -145,9 +145,9 @@ def _roomy(
     held = _resident()  # what ordering took may have gone back to the system by now
     if similar is not None and room.single is None:
         single, vectors, peak = True, vector * similar, told.single_peak
-        text = f"{text}; in single precision {_gb(peak)}, beside {_gb(held + vectors)}"
+        text = f"{text}; in single precision {_gb(peak)}, in addition to {_gb(held + vectors)}"
         if held + vectors + peak <= room.memory_bytes:
-            said = "so they are made, and lead by products in double precision to the same modes"
+            said = "these are used, and products in double precision give the same modes"
             return ordered.in_memory(True), f"{text}: {said}"
     if not is_available():
         raise SolverExhausted(
@@ -168,9 +168,9 @@ def _roomy(
 
 
 def _said_of_files(factors: Mumps, room: FactorRoom, beside: int, vectors: int, text: str) -> str:
-    """What is said of factors in files. Raises SolverExhausted where they have no room there.
+    """Return the message on factors in files. Raises SolverExhausted if they do not fit there.
 
-    beside, vectors: what is in memory beside them, and in files, in bytes.
+    beside, vectors: other data in memory, and vectors in files, in bytes.
     """
     least, disk = beside + factors.memory, factors.disk + vectors
     free = disk_usage(factors.files.folder).free

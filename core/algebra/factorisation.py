@@ -7,7 +7,7 @@ mm and rotations in rad weigh the same, and
 
 with ||S^-1||_1 estimated from a few solves (Hager 1984; Higham 1988). A condition beyond 10^14
 leaves no digit of the answer: the matrix is called singular, as a free structure's stiffness is.
-The rounding of a rigid-body eigenvalue cannot be told from such a small one.
+The rounding of a rigid-body eigenvalue cannot be distinguished from such a small one.
 
 Intel's PARDISO factorises as L D L^T with 1x1 and 2x2 pivots, so indefinite matrices such as K -
 shift M are as welcome as positive ones. Where PARDISO is not installed SciPy's SuperLU does the
@@ -165,8 +165,8 @@ def symmetric_factors(
     """Order a real symmetric matrix for factorisation by the program that is here.
 
     upper: (n, n), the upper triangle, sorted, with each diagonal entry. `refactor` gives values.
-    columns: vectors (n,) that will be in memory beside the factors; similar: beside those of a
-    similar matrix, where they will do. Raises ModelError where it is no such triangle,
+    columns: vectors (n,) that will be in memory with the factors; similar: with those of a similar
+    matrix, if these suffice. Raises ModelError where it is no such triangle,
     SolverExhausted where memory does not suffice.
     """
     if is_available():

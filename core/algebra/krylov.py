@@ -8,7 +8,7 @@ M-orthonormal basis Q,
 gives the Rayleigh-Ritz approximations theta of 1 / (lambda - s), from below. A Q = Q T + Y with
 Y in the last block only, so the residual ||A x - theta x||_M = ||Y s_last||_M costs no product.
 There is an eigenvalue of A within it of each theta, and as many as there are theta together
-(Kahan); beside a gap to the others the error is its square over the gap. Columns of Y that add
+(Kahan); with a gap to the others the error is its square over the gap. Columns of Y that add
 less than the tolerance to any residual are left out of the next block, so the block becomes
 smaller where start vectors are good. Source: Golub and Underwood 1977; Parlett 1998, 11.5, 13.10.
 
@@ -16,7 +16,7 @@ Where only P, the inverse of a similar matrix, is at hand, the next block is P r
 r = (K - s M) x - M x / theta: with the inverse itself that is A x / theta less x, and so the same
 space (generalised Davidson: Morgan and Scott 1986). Its basis V is orthonormal with respect to
 K - s M, which needs no mass, and theta are the eigenvalues of V^T M V. ||P r||_M / ||x||_M is then
-the residual above but for what P is off. The basis is held to a few blocks: where there is no room
+the residual above, apart from the error of P. The basis is limited to a few blocks: without room
 for the next one, the best pairs stay, and what they were one block before.
 """
 
@@ -35,7 +35,7 @@ from modetune.core.modes import Floats
 #: A product with a block (n_rows, n_columns), in Fortran order, and where to put it.
 Product = Callable[[Floats, Floats], object]
 
-#: Random vectors beside shapes that are known: they hold a little of every mode.
+#: Number of random vectors added to known shapes: they contain a little of every mode.
 GUARD = 4
 
 _ROWS_AT_ONCE = 4096  # of tall blocks that are combined in their place
@@ -46,7 +46,7 @@ DAVIDSON = 7
 _BASIS_BLOCKS = 3  # two of which stay at a restart
 
 _DEPENDENT = 1e-14  # of a Gram matrix of unit columns: directions that are rounding
-_TOLD_APART = 1e-2  # residual of a pair beyond those wanted, from which on it is one of its own
+_TOLD_APART = 1e-2  # residual below which a pair beyond those wanted counts as separate
 _DROPPED = 1e-2  # of the tolerance: what a column left out may add to a residual
 
 
@@ -82,9 +82,9 @@ def block_krylov(
 
     solve: (K - s M)^-1 of a block, mass: M of a block; start: (n_rows, n_start), in Fortran
     order, written over; tolerance: largest relative
-    residual; n_blocks: after how many blocks to give up. It goes on, though residuals are small,
-    until the last theta is above least_inverted: a pair that start vectors lack needs a few blocks
-    to show. room_for: where the basis is.
+    residual; n_blocks: number of blocks after which to stop. It continues, though residuals are
+    small, until the last theta is above least_inverted: a pair that start vectors lack needs a few
+    blocks to show. room_for: where the basis is.
     """
     room = start.shape[1] * n_blocks
     # Large blocks are made once: first touches of memory cost as much as the products.
@@ -142,10 +142,10 @@ def block_davidson(
     """The n_pairs largest eigenvalues of A by the inverse of a similar matrix.
 
     nearly: P of a block (n, n_columns); shifted: K - s M of it; mass: M of it; start: (n, n_start);
-    n_random: random columns beside those, more than n_pairs in all; n_blocks: after how many blocks
-    to give up, or as soon as residuals fall so slowly that these will not do. It goes on until the
-    pair next to those wanted is known well enough to be none of them. As many pairs as start and
-    random have columns are given back, without images, for whoever goes on; None where K - s M is
+    n_random: additional random columns, more than n_pairs in all; n_blocks: number of blocks after
+    which to stop, or earlier if residuals fall too slowly. It continues until the pair next to
+    those wanted is accurate enough to be none of them. It returns as many pairs as start and random
+    have columns, without images, for the next solution; None if K - s M is
     not positive. room_for: where the basis and its images are. There and in memory are DAVIDSON
     vectors (n,) a pair, one of them in memory: blocks are made in their place in the basis.
     """
@@ -231,7 +231,7 @@ def _restart(
 
 
 def with_random(shapes: Floats, count: int, turn: int = 0) -> Floats:
-    """Shapes (n_rows, n_shapes) and beside them `count` random columns.
+    """Return shapes (n_rows, n_shapes) followed by `count` random columns.
 
     They are the same each time, and others for another turn.
     """
@@ -281,7 +281,7 @@ def _append_orthonormal(
     part = mq[:, :used].T @ y
     _subtract(y, q[:, :used], part)
     _subtract(my, mq[:, :used], part)
-    # Half: a direction of which q had most is not a direction of its own.
+    # Half: a direction that lies mostly in q is not independent.
     factor = unit_combinations(y.T @ my, 0.5)
     _combined(y, factor, q[:, used:])
     _combined(my, factor, mq[:, used:])

@@ -38,9 +38,9 @@ class MatrixResult:
 
     upper_stiffness, upper_mass: (n, n), upper triangles with the diagonal, CSR with sorted
     indices, in the deck's units.
-    nodes, components: (n,), what each equation is called; a name may stand more than once where
-    the solver has unknowns of its own (incompatible modes, expanded shells).
-    dependent: what the solver has eliminated, None where it does not tell.
+    nodes, components: (n,), the name of each equation; a name may occur more than once if the
+    solver adds unknowns (incompatible modes, expanded shells).
+    dependent: what the solver has eliminated, None if unknown.
     """
 
     upper_stiffness: sparse.csr_array
@@ -62,12 +62,12 @@ class MatrixResult:
 
     @property
     def stiffness(self) -> sparse.csr_array:
-        """Both triangles, (n, n), made anew each time: keep it where it is needed twice."""
+        """Both triangles, (n, n), assembled at each access: keep the result to use it twice."""
         return symmetric(self.upper_stiffness)
 
     @property
     def mass(self) -> sparse.csr_array:
-        """Both triangles, (n, n), made anew each time: keep it where it is needed twice."""
+        """Both triangles, (n, n), assembled at each access: keep the result to use it twice."""
         return symmetric(self.upper_mass)
 
 
@@ -147,7 +147,7 @@ def union(matrices: Sequence[sparse.csr_array]) -> sparse.csr_array:
 
 
 def places_in(pattern: sparse.csr_array, part: sparse.csr_array) -> Integers:
-    """Where the entries of a part stand among those of a pattern, both sorted.
+    """Return the positions of a part's entries among those of a pattern, both sorted.
 
     Entries that the pattern does not have are left out.
     """

@@ -79,7 +79,7 @@ class MumpsLibrary:
     structure: str
 
     def begun(self) -> Any:
-        """What MUMPS is told of a new matrix, and tells: its structure, as the guide has it."""
+        """Return MUMPS' structure for a new matrix, as its guide defines it."""
         told = self.ffi.new(f"{self.structure} *")
         told.sym, told.par, told.comm_fortran = _SYMMETRIC, 1, _WORLD
         self.run(told, _BEGIN)
@@ -244,7 +244,7 @@ class Mumps:
         return x
 
     def room_for(self, n_rows: int, n_columns: int) -> Floats:
-        """Room for vectors in a file beside the factors, (n_rows, n_columns), in Fortran order."""
+        """Return an array in a file next to the factors, (n_rows, n_columns), in Fortran order."""
         return in_file(self.files.folder, n_rows, n_columns)
 
     def close(self) -> None:
@@ -320,7 +320,7 @@ def _end(library: MumpsLibrary, told: Any, files: FactorFiles) -> None:
 
 
 def _whole(told: int) -> int:
-    """A count, which MUMPS tells as minus so many millions where it is large."""
+    """Return a count, which MUMPS gives as a negative number of millions if it is large."""
     return int(told) if told >= 0 else -1_000_000 * int(told)
 
 

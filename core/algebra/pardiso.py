@@ -119,8 +119,8 @@ class Pardiso:
     def refactor(self, values: Floats) -> None:
         """Factorise the matrix with these values in the same places.
 
-        values: (n_entries,), kept, not copied, but for single precision. Raises ModelError where
-        the matrix is singular, SolverExhausted.
+        values: (n_entries,), kept, copied only for single precision. Raises ModelError if the
+        matrix is singular, SolverExhausted.
         """
         if values.shape != self._values.shape or values.dtype != np.float64:
             raise ModelError(f"{values.size} values for {self._values.size} entries of a matrix")

@@ -16,8 +16,8 @@ A negative shift s makes K - s M positive definite even where K is singular, as 
 structure's is. It should be of the size of the first elastic eigenvalue: much closer to zero it
 drowns the elastic modes of a free structure in the rigid ones, much farther away the modes crowd
 together seen from it. Where the caller does not know that eigenvalue it is estimated: with a
-shift just far enough below zero to be told from rounding, by two steps from random vectors. Where
-these find no rigid motion nothing can be drowned, and that shift does for all modes, its factors
+shift just far enough below zero to exceed rounding, by two steps from random vectors. Where these
+find no rigid motion nothing can be drowned, and that shift does for all modes, its factors
 with it.
 """
 
@@ -43,7 +43,7 @@ from modetune.core.modes import Floats, Integers
 
 Places: TypeAlias = NDArray[np.int32] | NDArray[np.int64] | slice
 
-#: A shift of this share of the largest eigenvalue can be told from rounding.
+#: Share of the largest eigenvalue above which a shift exceeds rounding.
 LEAST_SHIFT = 1e-10
 #: Eigenvalues of this many least shifts are not those of rigid motion.
 STRAINED = 10.0
@@ -57,7 +57,7 @@ SHIFT = -0.1
 #: were measured between 17,000 and 1,240,000 equations of shells and solids.
 FACTORISED_COLUMNS = 0.5
 _LOST = 1e-2  # of a known solution, relative: beyond this the matrix has no inverse to speak of
-_WITHOUT_ENERGY = 1e-14  # of that of its unknowns by themselves: rounding
+_WITHOUT_ENERGY = 1e-14  # relative to the energy of its single unknowns: rounding
 
 
 def shifted_pattern(stiffness: sparse.csr_array, mass: sparse.csr_array) -> sparse.csr_array:
@@ -85,8 +85,8 @@ class Pencil:
         """Order the unknowns; nothing is factorised yet.
 
         stiffness, mass: (n, n), upper triangles, sorted, kept and not copied; columns: vectors
-        (n,) that will be in memory beside the factors; similar: beside those of a similar matrix,
-        None where `exact` ones are needed. Raises ModelError where they are not a model,
+        (n,) that will be in memory with the factors; similar: with those of a similar matrix, None
+        if `exact` ones are needed. Raises ModelError where they are not a model,
         SolverExhausted where memory does not suffice.
         """
         _check(stiffness, mass)
@@ -248,7 +248,7 @@ def estimate_shift(pencil: Pencil) -> float:
     eigenvalues = 1.0 / np.maximum(pairs.inverted, 1e-300) + least
     if eigenvalues[0] > -least:  # nothing moves rigidly, and the first mode is as far away or more
         return least
-    elastic = eigenvalues[eigenvalues > -STRAINED * least]  # parts may move rigidly by themselves
+    elastic = eigenvalues[eigenvalues > -STRAINED * least]  # single parts may move rigidly
     first = float(elastic[0] if elastic.size else abs(eigenvalues[-1]))
     return min(SHIFT * first, least)
 
@@ -299,10 +299,10 @@ def factorise_below(pencil: Pencil, shift: float) -> float:
 
 
 def count_below(pencil: Pencil, eigenvalue: float, margin: float) -> tuple[float, int]:
-    """A number beside an eigenvalue, and how many eigenvalues are below that number.
+    """Return a number near an eigenvalue, and how many eigenvalues are below that number.
 
-    margin: how far beside it, (rad/s)^2, negative for below; somewhat farther where a pivot is as
-    good as zero there by chance. The count is -1 where that is so at each place tried. Leaves the
+    margin: distance from it, (rad/s)^2, negative for below; somewhat larger if a pivot happens to
+    be nearly zero there. The count is -1 if this happens at each number tried. Leaves the
     pencil factorised there.
     """
     beside = eigenvalue

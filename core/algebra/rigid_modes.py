@@ -9,11 +9,11 @@ the energy is wrong by their square. In CalculiX runs of free solids and shells 
 below elastic modes of 4.6 kHz) among them, it was the eigenvalue to seven digits. So a mode is
 rigid where
 
-    2 U < lambda / 2     its eigenvalue is not strain energy. Where the true eigenvalue is below
-                         the rounding the two cannot be told from each other, and only there.
+    2 U < lambda / 2     its eigenvalue is not strain energy. The two cannot be distinguished only
+                         if the true eigenvalue is below the rounding.
 
 Energies that come from a product with K have the rounding of K, which is known where K is: what is
-below it is none (`matrix_energies`). Where a solver does not tell all of a mode's energy (hourglass
+below it is none (`matrix_energies`). If a solver does not print all of a mode's energy (hourglass
 modes of reduced elements, preload, springs along a line) or none at all, its eigenvalue decides:
 
     |lambda| <= ROUNDING eps lambda_max     it is no larger than rounding makes it.
@@ -57,8 +57,8 @@ def count_rigid_modes(
 
     eigenvalues: (n_modes,), ascending, (rad/s)^2, as the solver gave them, of either sign where
     they are rounding. strain_energies: (n_modes,), of the mass-normalised modes, NaN where they are
-    not all known. largest: estimates the model's largest eigenvalue, asked only where energies do
-    not tell; the largest of the given ones is the least that it can be.
+    not all known. largest: estimates the model's largest eigenvalue, called only if energies do not
+    decide; the largest of the given ones is its lower bound.
     """
     sizes = np.maximum.accumulate(np.abs(eigenvalues))
     elastic = 2.0 * strain_energies > STRAINED * sizes

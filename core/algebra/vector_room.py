@@ -1,4 +1,4 @@
-"""Room for vectors and other large arrays: in memory, or in files, beside factors for example."""
+"""Allocates vectors and other large arrays in memory or in files, for example next to factors."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from modetune.core.errors import SolverExhausted
 from modetune.core.modes import Floats
 
-#: Makes room for so many vectors: (n_rows, n_columns), in Fortran order, with any numbers.
+#: Allocates vectors: (n_rows, n_columns), in Fortran order, not initialised.
 Room = Callable[[int, int], Floats]
 
 
 def in_memory(n_rows: int, n_columns: int) -> Floats:
-    """Room for so many vectors in memory."""
+    """Allocate vectors in memory."""
     return np.empty((n_rows, n_columns), order="F")
 
 
 def in_file(folder: Path, n_rows: int, n_columns: int) -> Floats:
-    """Room for so many vectors in a file of a folder, which has no name and goes with the array.
+    """Allocate vectors in an unnamed file of a folder, which is deleted with the array.
 
     Raises SolverExhausted where the disk is full.
     """

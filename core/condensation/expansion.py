@@ -1,6 +1,6 @@
 """Measured mode shapes filled out to all unknowns of the model.
 
-A test sees a few unknowns (m); the rest (s) must come from somewhere:
+A test sees a few unknowns (m); the others (s) follow from one of these:
 
     Kidder    (K_ss - w_r^2 M_ss) phi_s = -(K_sm - w_r^2 M_sm) phi_m        thesis A (26)-(28)
     static    the same at w = 0, the inverse of Guyan's reduction
@@ -16,8 +16,8 @@ bending energy of u(x) = sum_i w_i g(|x - x_i|) + affine, with g(r) = r^3 on lin
 space, r^2 log r on planes (Duchon 1977), each component on its own, over as many principal
 directions as the sensors span; outside them the shape is constant.
 
-Measured values are kept as they are but for SEREP. Every inverse is judged: the condition number
-stands in the result, and past a limit there is no result.
+Measured values are kept, except by SEREP. Every inverse is judged: the result contains the
+condition number, and beyond a limit there is no result.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from modetune.core.correlation.correlation import Shapes
 from modetune.core.errors import ModesError
 from modetune.core.modes import COMPONENTS, Floats, Integers
 
-# Sensors that spread less than this share of their greatest extent in a direction do not tell
-# how a shape changes along it.
+# Share of the sensors' greatest extent below which their extent in a direction does not show how a
+# shape changes along it.
 _FLAT = 1e-3
 _TARGETS_AT_ONCE = 4096  # bounds the matrix of distances from targets to sensors
 
@@ -126,7 +126,7 @@ def serep_expansion(mode_shapes: Floats, measured: Shapes, rows: ArrayLike) -> E
     """The combination of the model's modes nearest to each measured shape, at all unknowns.
 
     mode_shapes: (n, n_model_modes), real; measured: (n_rows, n_modes) at these rows. Raises
-    ModesError where shapes do not fit or cannot be told apart at these rows.
+    ModesError if shapes do not fit or cannot be separated at these rows.
     Source: O'Callahan, Avitabile and Riemer 1989; thesis A (29)-(33).
     """
     phi = np.asarray(mode_shapes)
@@ -165,8 +165,8 @@ def spline_expansion(measured: Shapes, sensors: Places, targets: Places) -> Expa
 
     measured: (n_sensors, n_modes), in the order of sensors; targets: where to evaluate. Returns
     shapes (n_targets, n_modes). Components do not mix; axes are the model's. Raises ModesError
-    where a target's component was measured nowhere (nothing is known of it), or two sensors of
-    one component stand at one place. Source: Duchon 1977; thesis 2.2.1.
+    if a target's component was measured nowhere, or two sensors of one component are at one place.
+    Source: Duchon 1977; thesis 2.2.1.
     """
     shapes = _measured(measured, np.arange(sensors.components.size, dtype=np.int64))
     missing = np.setdiff1d(targets.components, sensors.components)
@@ -215,7 +215,7 @@ def _spline(points: Floats, values: Shapes, targets: Floats) -> tuple[Shapes, fl
     condition = float(np.linalg.cond(system))
     if not condition < SINGULAR_CONDITION:
         raise ModesError(
-            f"two sensors of one component stand at (nearly) one place: the spline through "
+            f"two sensors of one component are at (nearly) one place: the spline through "
             f"{x.shape[0]} sensors has condition number {condition:.1e}"
         )
     sides = np.concatenate([values, np.zeros((n_axes + 1, values.shape[1]))])

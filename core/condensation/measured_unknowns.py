@@ -1,4 +1,4 @@
-"""A model whose measured motions are unknowns of their own.
+"""A model whose measured motions are unknowns.
 
 Reduction and expansion keep rows of a model. What a sensor sees need not be one: it may look along
 an inclined direction, at a dependent node, or at a node whose motion is a sum of the solver's
@@ -53,7 +53,7 @@ def measured_model(
         raise ModesError(
             f"{n_seen} measured unknowns have {int((sizes > _NEW * sizes.max(initial=0)).sum())} "
             "that do not follow from each other (two sensors in one direction at one node, or more "
-            "than three there): leave out those that are told twice"
+            "than three there): leave out the redundant ones"
         )
     chosen, rest = order[:n_seen], order[n_seen:]
     # Each sensor takes the place of the unknown that it sees most of.

@@ -12,13 +12,13 @@ matrix (not with SEREP of fewer modes than masters), those at the slaves are t:
     Craig-     x_s = t_0 x_m + Phi_s q,  K_ss Phi_s = M_ss Phi_s W             Craig, Bampton 1968
     Bampton
 
-Guyan (1965) is exact at rest, dynamic reduction at w; IRS (O'Callahan 1989) lets the slaves'
+Guyan (1965) is exact in statics, dynamic reduction at w; IRS (O'Callahan 1989) lets the slaves'
 inertia follow the static shapes, and repeated with its own matrices it tends to the exact lowest
 modes; SEREP (O'Callahan, Avitabile and Riemer 1989) keeps the given modes exactly. Craig and
 Bampton add unknowns q to the masters: the lowest modes of the model with its masters held.
 
 A (15) as printed multiplies M_ss by K_ss^-1 and K_sm with a plus sign; the derivation before it
-and A (17) need M_sm - M_ss K_ss^-1 K_sm, which is what stands above.
+and A (17) need M_sm - M_ss K_ss^-1 K_sm, as above.
 
 Only K_ss is factorised, once. Nothing of size n x n is ever dense; T is n x n_masters. Each
 inverse is judged: the largest condition number (of matrices scaled to a unit diagonal, so that
@@ -51,13 +51,13 @@ HOPELESS_BASIS = 1e12
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """A reduced model and how its masters move the rest.
+    """A reduced model, and the motion of the full model by its masters.
 
     stiffness, mass: (n_masters, n_masters), in the order of masters. transformation:
     (n, n_masters). masters: (n_masters,), rows of the full model. condition: of the worst
     inverse taken. iterations, converged: of iterated IRS; 0 and true for the other methods.
-    With fixed-interface modes ("craig_bampton") their amplitudes stand behind the masters in
-    matrices and transformation.
+    With fixed-interface modes ("craig_bampton") their amplitudes follow the masters in matrices and
+    transformation.
     """
 
     method: Literal["guyan", "dynamic", "irs", "iterated_irs", "serep", "craig_bampton"]
@@ -119,8 +119,8 @@ def partition(stiffness: Matrix, mass: Matrix, masters: ArrayLike) -> Partition:
     """Check a model and the rows to keep, and split its unknowns.
 
     stiffness, mass: (n, n), sparse, symmetric; masters: (n_masters,), rows counted from 0.
-    Raises ModelError where the matrices are not a model, ModesError where a row is not one of it,
-    stands twice, or there is none.
+    Raises ModelError if the matrices are not a model, ModesError if a row is not one of it or
+    occurs twice, or if there is none.
     """
     k, m = symmetric_matrix(stiffness, "stiffness"), symmetric_matrix(mass, "mass matrix")
     if np.iscomplexobj(k.data) or np.iscomplexobj(m.data):
@@ -172,7 +172,7 @@ def dynamic(stiffness: Matrix, mass: Matrix, masters: ArrayLike, frequency_hz: f
 def irs(stiffness: Matrix, mass: Matrix, masters: ArrayLike) -> Reduction:
     """Improved reduced system: slaves' inertia follows the static shapes.
 
-    As guyan. Raises ModelError also where the masters have no mass of their own or from slaves.
+    As guyan. Raises ModelError also if the masters have no mass, neither theirs nor from slaves.
     Source: O'Callahan 1989; thesis A (11)-(17).
     """
     model = partition(stiffness, mass, masters)
@@ -190,12 +190,12 @@ def iterated_irs(
     tolerance: float = 1e-8,
     max_iterations: int = 50,
 ) -> Reduction:
-    """IRS repeated with its own matrices until the lowest eigenvalues settle.
+    """Repeat IRS with its own matrices until the lowest eigenvalues converge.
 
-    As irs; n_modes: how many eigenvalues must settle, half the masters unless told; tolerance:
-    largest change of any, relative to the highest of them. Where max_iterations do not suffice
-    the last transformation is returned with converged false: the higher of the eigenvalues asked
-    for depend on slaves, and other masters show them better.
+    As irs; n_modes: number of eigenvalues that must converge, by default half the masters;
+    tolerance: largest change of any, relative to the highest of them. If max_iterations do not
+    suffice the last transformation is returned with converged false: the highest of these
+    eigenvalues depend on slaves, and other masters show them better.
     Source: Friswell, Garvey and Penny 1995.
     """
     model = partition(stiffness, mass, masters)
@@ -224,7 +224,7 @@ def serep(stiffness: Matrix, mass: Matrix, masters: ArrayLike, mode_shapes: Floa
 
     As guyan; mode_shapes: (n, n_modes), real, of the model. With fewer modes than masters the
     reduced matrices have rank n_modes; with more (least-length pseudo-inverse, A (23)) no mode
-    is kept exactly. Raises ModesError where the shapes do not fit or cannot be told apart at the
+    is kept exactly. Raises ModesError if the shapes do not fit or cannot be separated at the
     masters. Source: O'Callahan, Avitabile and Riemer 1989; thesis A (18)-(25).
     """
     model = partition(stiffness, mass, masters)
@@ -294,7 +294,7 @@ def basis_inverse(mode_shapes: Floats, rows: Integers, n: int) -> tuple[Floats, 
     condition = float(np.linalg.cond(unit))
     if not condition < HOPELESS_BASIS:
         raise ModesError(
-            f"{phi.shape[1]} modes cannot be told apart at {rows.size} unknowns: condition number "
+            f"{phi.shape[1]} modes cannot be separated at {rows.size} unknowns: condition number "
             f"{condition:.1e}; keep more or other unknowns, or fewer modes"
         )
     return np.asarray(np.linalg.pinv(unit) / lengths[:, None]), condition

@@ -145,7 +145,7 @@ class IterationRecord:
     """One evaluated parameter set; the module's docstring says what each field is in the file.
 
     field: the paired modes at the nodes of the displayed surface; empty where there is none;
-    solved_by: the program that found the modes, empty in records that do not tell.
+    solved_by: the program that found the modes, empty in records without it.
     """
 
     number: int
@@ -182,7 +182,7 @@ class IterationRecord:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CampaignRecord:
-    """A campaign from its start to where it stands.
+    """A campaign from its start to its present state.
 
     surface, geometry, sensors, places, frfs: of model and test, None where the campaign has none.
     e1_frequency, e1_mac, e2: the campaign's tolerances. versions: what it ran with, `name number`.

@@ -34,7 +34,7 @@ from scipy import sparse
 
 from modetune.core.errors import ModetuneError, StoreDamaged
 
-#: Arrays of at least so many bytes are compressed: less than a page of the disk saves nothing.
+#: Bytes from which arrays are compressed: less than a page of the disk saves nothing.
 COMPRESSED_BYTES = 4096
 #: zlib's level: higher ones take several times as long for a hundredth of the size.
 LEVEL = 1
@@ -165,7 +165,7 @@ def read_value(group: h5py.Group, kind: type[D]) -> D:
 
 
 class _Form(Protocol):
-    """How values of one type stand in a group."""
+    """How a group holds values of one type."""
 
     def write(self, group: h5py.Group, name: str, value: Any) -> None: ...
 
@@ -200,7 +200,7 @@ def _form(hint: Any) -> _Form:
 
 
 def _tuple(items: list[Any], count: int | None) -> _Form:
-    """The form of a tuple with so many items of these types, or any number of the one type."""
+    """Return the form of a tuple with `count` items of these types, or any number of one type."""
     forms = [_form(item) for item in items]
     if all(isinstance(form, _Scalar) and form == forms[0] for form in forms):
         return _Column(forms[0], count)
@@ -371,7 +371,7 @@ class _Mapping:
 
 @dataclass(frozen=True, slots=True)
 class _Dataclass:
-    """A dataclass: a group with its fields. label: the attribute beside them, if there is one."""
+    """A dataclass: a group with its fields. label: an additional attribute, or none."""
 
     kind: Any
     forms: tuple[tuple[str, _Form], ...]

@@ -24,10 +24,10 @@ BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
 
 @contextmanager
 def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place, flushed to disk, when all went well.
+    """Yield a temporary path that replaces `path`, flushed to disk, if no error occurs.
 
-    Raises StorageUnavailable on a full disk or without permission; what stood at `path` before
-    then still stands there. A device or a pipe is written to and keeps its place.
+    Raises StorageUnavailable on a full disk or without permission; `path` is then unchanged. A
+    device or a pipe is written to directly.
     """
     with storage_errors(path, remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def storage_errors(path: Path, remedy: str = "name another place") -> Iterator[N
 
 
 def _file_in_the_way(path: Path) -> Path | None:
-    """The file that stands where a folder above a path should be, or nothing."""
+    """Return the file in place of a folder above a path, or None."""
     for above in path.parents:
         with suppress(OSError):
             if above.exists():
@@ -105,9 +105,9 @@ def _file_in_the_way(path: Path) -> Path | None:
 
 
 def _is_of(error: OSError, path: Path) -> bool:
-    """Whether an error speaks of a path, a folder above it or a file beside it.
+    """Return whether an error is about a path, a folder above it or a file next to it.
 
-    What goes on inside a job's folder is the job's own: a file that is missing there stays a fault.
+    Errors inside a job's folder concern the job: a file that is missing there remains a fault.
     """
     if not isinstance(error.filename, str | os.PathLike):
         return False

@@ -2,8 +2,8 @@
 
 Where the file system has `flock`, the kernel keeps the lock and frees it with its holder. Where it
 refuses (NFS without a lock daemon, Lustre mounted without), a file FILE.lease says who holds it:
-host, process, and when that was started. Its holder touches it now and then; it is taken over when
-the process is seen to be gone, or, from another machine, when nobody has touched it for a minute.
+host, process, and when that was started. Its holder touches it regularly; another process takes it
+over when the holder is gone or, on another machine, has not touched it for a minute.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class FileLock:
     def _take_lease(self) -> bool:
         from filelock import SoftFileLease, Timeout
 
-        if self._lease is None:  # one for all tries: it notices that nobody touches the file
+        if self._lease is None:  # one for all tries: it notices a holder that stopped touching it
             self._lease = SoftFileLease(
                 f"{self.path}.lease", lease_duration=LEASE_S, thread_local=False
             )

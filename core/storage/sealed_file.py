@@ -1,4 +1,4 @@
-"""Sealed files: HDF5 behind a first block with a checksum of all the rest, and records in them.
+"""Sealed files: HDF5 after a first block with its checksum, and records in them.
 
     TITLE              what the file is, and the number of its format
     sha256 DIGEST      of the next line and of all after the block

@@ -6,8 +6,8 @@
     STORE/locks/KEY           one lock a job under way, freed when its holder dies
 
 A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
-processes and machines may share the folder. Nothing is believed that its checksum denies
-(`core/storage/sealed_file`): a damaged entry is set aside with a warning and counts as absent.
+processes and machines may share the folder. An entry whose checksum does not match
+(`core/storage/sealed_file`) is set aside with a warning and counts as absent.
 Entries of other formats, older or newer, are other files: they are left alone.
 """
 
@@ -70,10 +70,10 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """What stands before an entry's result.
+    """The head of an entry, before its result.
 
-    kind: of the result, one of KINDS; asked: the canonical JSON behind the key; note: what was
-    noted beside it, empty where nothing was.
+    kind: of the result, one of KINDS; asked: the canonical JSON behind the key; note: additional
+    information for people, may be empty.
     """
 
     key: str
@@ -137,7 +137,7 @@ class Store:
     def put(self, entry: Entry, asked: str, note: str = "") -> None:
         """Write an entry whole or not at all.
 
-        asked: the canonical JSON behind the key; note: what people are told of it.
+        asked: the canonical JSON behind the key; note: additional information for people.
         Raises StorageUnavailable on a full disk or without permission.
         """
         kind = next(name for name, form in KINDS.items() if isinstance(entry.result, form))
@@ -161,10 +161,10 @@ class Store:
         return self.folder.glob(f"{start[:2] or '[0-9a-f][0-9a-f]'}/{start}*.{FORMAT}.h5")
 
     def holding(self, key: str) -> Holding | None:
-        """What stands before the entry of this key; nothing where that cannot be read.
+        """Return the head of the entry of this key; None if it cannot be read.
 
-        No result is read and no checksum taken, so nothing that is computed may rest on it: whoever
-        wants the entry finds the damage.
+        It reads no result and verifies no checksum, so do not compute anything from it: reading the
+        entry finds damage.
         """
         try:
             with self.path(key).open("rb") as file:
@@ -229,7 +229,7 @@ def _holding(file: IO[bytes]) -> Holding | None:
 
 
 def _head_of(data: bytes, path: Path, key: str) -> dict[str, Any]:
-    """What stands before the result in a file whose seal holds. Raises StoreDamaged."""
+    """Return the head of a file after its checksum was verified. Raises StoreDamaged."""
     if not holds(data, TITLE):
         raise StoreDamaged(f"the checksum of {path} does not hold")
     try:
