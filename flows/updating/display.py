@@ -1,4 +1,4 @@
-"""What a person sees of a campaign: a sentence an iteration, tables at the end.
+"""The display of a campaign on a terminal: a line per iteration, and tables at the end.
 
 Progress goes to standard error, results to standard output.
 """
@@ -64,9 +64,9 @@ def iteration_line(record: IterationRecord) -> str:
 
 
 class ConsoleProgress:
-    """Progress on a terminal: the jobs that run with the time left, and a sentence an iteration.
+    """Progress on a terminal: running jobs with the remaining time, and a line per iteration.
 
-    jobs: a display of jobs that is shown already.
+    jobs: an existing display of jobs.
     """
 
     def __init__(self, console: Console, jobs: JobProgress | None = None) -> None:
@@ -81,14 +81,14 @@ class ConsoleProgress:
             yield self
 
     def keep(self, folder: Path) -> None:
-        """Keep the progress of the jobs in a file of a run folder too."""
+        """Also write the progress of the jobs to a file in a run folder."""
         self._jobs.keep(folder)
 
     def working(self, text: str) -> None:
         self._jobs.working(text)
 
     def forecast(self, forecast: Forecast) -> None:
-        """Print a line when all costs are known; then show the rest next to running jobs."""
+        """Print a line once all costs are known; then show the rest next to running jobs."""
         self._jobs.ahead(f"to the end at most {cost_text(forecast.most)}" if forecast.known else "")
         if forecast.known and not self._told:
             self._told = True
@@ -115,14 +115,14 @@ def pairing_lines(record: CampaignRecord) -> list[str]:
             pairing.reasons,
             strict=True,
         )
-        # Side by side the modes of several configurations have other positions than alone.
+        # Modes of several configurations have other positions together than in their own case.
         if (order and not record.configurations)
         or not reason.startswith(("highest MAC", "no shape", "continues"))
     ]
 
 
 def trust_lines(record: CampaignRecord) -> list[str]:
-    """How far the parameters can be trusted: the verdict, then what is flagged, a line each."""
+    """Return the verdict on the parameters, then a line for each flag."""
     if record.trust is None:
         return []
     flagged = [item.sentence for item in record.trust.flagged]
@@ -130,12 +130,12 @@ def trust_lines(record: CampaignRecord) -> list[str]:
 
 
 def held_out_parts(held: HeldOut | None) -> list[Table | Text]:
-    """Table and sentences of modes that were held out; nothing where nothing was."""
+    """Return a table and sentences about held-out modes; empty if there are none."""
     return [held_out_table(held), *(Text(line, style=OUTSIDE) for line in held_out_lines(held))]
 
 
 def show_run(console: Console, run: CampaignRun) -> None:
-    """The end of a campaign: tables, the reason it ended, its cost, and where the files are."""
+    """Print the end of a campaign: tables, the reason it ended, its cost and its files."""
     record, page = run.record, run.folder / PAGE
     brief = brief_record(record)
     runs, skipped = record.runs, sum(item.sensitivity_skipped for item in record.iterations)

@@ -1,8 +1,8 @@
 """A dry run: the jobs that a campaign would run, without running them.
 
-The updating loop is deterministic, so it is replayed while the store has every job. At the first
-missing one the replay ends and reports the jobs of that iteration: those in the store, those that
-would run, and for each of these the nearest stored result with the differences.
+The updating loop is deterministic, so it can be replayed as long as the store has every job. At the
+first missing job the replay ends and lists the jobs of that iteration: those that are cached, those
+that would run, and for each of these the nearest stored result with the differences.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from modetune.flows.updating.update import Updating, read_earlier, start_of
 
 @dataclass(frozen=True, slots=True)
 class PlannedJob:
-    """A job of an iteration and what it is for.
+    """A job of an iteration and its description.
 
-    asked: what it would be run for, None where the store has its result; nearest: of a job that
-    would be run, where anything is stored.
+    asked: the description of a job that would run, None if it is cached. nearest: the nearest
+    stored result, if any, of a job that would run.
     """
 
     iteration: str
@@ -56,11 +56,11 @@ class PlannedJob:
 
 @dataclass(frozen=True, slots=True)
 class DryRun:
-    """What a campaign would do.
+    """The jobs that a campaign would run.
 
-    answered: jobs of all iterations before that the store answers; iterations: those replayed;
-    jobs: of the iteration where the store's answers end, empty where they last to the campaign's
-    end; ended: its record then.
+    answered: number of cached jobs of the replayed iterations. iterations: those replayed. jobs:
+    of the first iteration with a missing result, empty if the whole campaign is cached. ended: the
+    campaign's record in that case.
     """
 
     answered: int
@@ -70,14 +70,14 @@ class DryRun:
 
     @property
     def runs(self) -> tuple[PlannedJob, ...]:
-        """The jobs that would be run first."""
+        """Return the jobs that would run first."""
         return tuple(item for item in self.jobs if not item.stored)
 
 
 class Replay(Execution):
-    """An execution that takes results from the store, and keeps which jobs would have to run.
+    """An execution that reads results from the store and records the jobs that would run.
 
-    answered: results that the store had; planned: the first jobs that would run.
+    answered: number of cached results. planned: the jobs of the first incomplete iteration.
     """
 
     def __init__(self, engine: JobEngine) -> None:
@@ -86,7 +86,7 @@ class Replay(Execution):
         self.planned: list[PlannedJob] = []
 
     def run(self, iteration: str, works: Sequence[Work]) -> list[Done]:
-        """Outcomes from the store. Raises NotStored where a job has none."""
+        """Return outcomes from the store. Raises NotStored if a job has none."""
         pieces = [
             [
                 planned_job(piece.engine or self.engine, iteration, piece.name, job)
@@ -103,7 +103,7 @@ class Replay(Execution):
 
 
 def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> PlannedJob:
-    """A job and whether the store has its result."""
+    """Return a job with its description, None if the store has its result."""
     key = engine.key(job)
     if key in engine.store:
         return PlannedJob(iteration, name, job, key, None)
@@ -114,8 +114,8 @@ def planned_job(engine: JobEngine, iteration: str, name: str, job: Job) -> Plann
 def dry_run(campaign: Campaign, folder: Path) -> DryRun:
     """Replay a campaign on its store and return the first jobs that would run.
 
-    folder: its run folder, where a run before may have left its record. Raises SolverMissing
-    (keys hold the solver's version), ModelError, ModesError, StoreError.
+    folder: its run folder, which may contain the record of a previous run. Raises SolverMissing
+    (keys contain the solver's version), ModelError, ModesError, StoreError.
     """
     engine = replace(job_engine(campaign), may_run=False)
     campaign = start_of(campaign, engine, read_earlier(folder))
@@ -129,7 +129,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
         except NotComputed:  # the next results are computed here; no solver run is known yet
             break
         except NotStored:
-            if not replay.planned:  # a damaged entry was set aside: once more, without it
+            if not replay.planned:  # a damaged entry was set aside: replay again without it
                 continue
         break
     asked = [item.asked for item in replay.planned if item.asked]
@@ -142,7 +142,7 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
 
 
 def explain_unrun(campaign: Campaign, start: str) -> Explanation | None:
-    """The job of a campaign whose key starts so and that would be run next, if there is one."""
+    """Return the campaign's next job whose key has this start, or None."""
     for item in dry_run(campaign, Path("runs") / campaign.name).runs:
         if item.key.startswith(start):
             return Explanation(item.key, "not run", item.asked, None, None, None, "", item.nearest)
@@ -150,7 +150,7 @@ def explain_unrun(campaign: Campaign, start: str) -> Explanation | None:
 
 
 def _texts(engine: JobEngine) -> Texts:
-    """Texts of decks: this campaign's own, and those that the store keeps, each read once."""
+    """Return the texts of this campaign's deck and of stored decks, each read once."""
     known: dict[str, Text | None] = {}
 
     def text(digest: str) -> Text | None:
@@ -165,7 +165,7 @@ def _texts(engine: JobEngine) -> Texts:
 
 
 def _each_once(jobs: Sequence[PlannedJob]) -> list[PlannedJob]:
-    """The jobs without those that an earlier one of the same key makes."""
+    """Return the jobs without repetitions of a key."""
     first: dict[str, PlannedJob] = {}
     for item in jobs:
         first.setdefault(item.key, item)

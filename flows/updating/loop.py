@@ -1,23 +1,23 @@
-"""The updating loop: evaluate, compare with the test, step, until e1 holds or nothing is gained.
+"""The updating loop: evaluate, compare with the test and step until e1 holds or nothing is gained.
 
 Each iteration tries a point: its modal job and, unless e2 skips them, its sensitivity jobs run in
-parallel. A better point is accepted; e2 decides whether the existing matrix serves for it. A worse
-point is not accepted: a step from an older matrix is taken back and the matrix computed again, one
-from a new matrix is shortened. So skipping never costs convergence. A failed trial (solver failure,
-lost mode) is treated in the same way.
+parallel. A better point is accepted; e2 decides whether the existing matrix is used again. A worse
+point is rejected: if the matrix was old, it is computed again; if it was new, the step is
+shortened. So skipping never prevents convergence. A failed trial (solver failure, lost mode) is
+treated in the same way.
 
-Where evaluations are cheap the loop continues from where e1 holds to the minimum misfit, without
-leaving e1, as far as the test determines the parameters. The solver's own modes confirm the end if
-they came from another source.
+Where evaluations are cheap, the loop continues after e1 is met to the minimum misfit, as far as the
+test determines the parameters and e1 stays met. If the modes came from another source, the solver's
+own modes confirm the end.
 
-Where a sensitivity takes solver runs, an accepted point may use the previous matrix: as it is
-(`keep`, thesis, 4.2), or updated by Broyden's formula with the change over the last step, its rows
-of frequencies replaced by those of the strain energies, which are exact and take no job. A Broyden
-update takes a round of runs a step, a new matrix its jobs in parallel and the step;
-docs/how-it-works.md compares them.
+Where a sensitivity takes solver runs, an accepted point may use the previous matrix: unchanged
+(`keep`, thesis, 4.2), or updated by Broyden's formula with the change over the last step. In an
+updated matrix the rows of frequencies come from strain energies, which are exact and take no job. A
+Broyden update takes one round of runs per step; a new matrix takes a round for its parallel jobs
+and another for the step. docs/how-it-works.md compares them.
 
-The loop is deterministic and the store keeps all results by content, so a campaign that was killed
-is resumed by starting it again.
+The loop is deterministic and the store keeps all results by content key, so starting a killed
+campaign again resumes it.
 """
 
 from __future__ import annotations
@@ -46,30 +46,30 @@ from modetune.flows.updating.step import Stepping
 
 logger = logging.getLogger(__name__)
 
-#: The smallest factor by which Broyden updates have to reduce errors: a lower rate counts as none,
-#: also where the frequencies are within e1 already and the shapes are not.
+#: Smallest factor by which Broyden updates must reduce errors: a lower rate counts as none, even if
+#: the frequencies already meet e1 and only the shapes do not.
 LEAST_WAY = 2.0
-#: Times that a step is shortened before its start counts as stationary.
+#: Number of times a step is shortened before its start counts as stationary.
 SHORTENINGS = 5
-#: Largest parameter change that counts as none.
+#: Parameter changes up to this size count as zero.
 NO_STEP = 1e-8
-#: Parameters in the name of a step's task: those with the largest changes.
+#: Number of parameters in the name of a step's task: those with the largest changes.
 SHOWN = 8
-#: Where e1 holds, steps to the minimum misfit end below this parameter change.
+#: After e1 is met, steps towards the minimum misfit stop below this parameter change.
 POLISHED = 1e-4
-#: ... or below this one, where an old matrix led there and new ones shall end at the same values.
+#: ... or below this one after steps by an old matrix, so that a new one ends at the same values.
 SAME_END = 1e-3
-#: Relative decrease of the objective below which nothing more is gained.
+#: Smaller relative decreases of the objective are negligible.
 STATIONARY = 1e-4
-#: An old matrix whose step gains less than this share of its prediction is computed again.
+#: If a step by an old matrix gains less than this share of its prediction, the matrix is renewed.
 KEPT_PROMISE = 0.25
-#: Most steps on the reduced models; they take next to no time.
+#: Maximum number of steps on reduced models, which take almost no time.
 ITERATIONS = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Reuse:
-    """The use of an older sensitivity; lower, upper: (n_parameters,), the region of the loop."""
+    """The reuse of an older sensitivity; lower, upper: (n_parameters,), the region of the loop."""
 
     campaign: Campaign
     evaluator: Evaluator
@@ -78,17 +78,17 @@ class Reuse:
 
     @property
     def waits(self) -> bool:
-        """Whether a point is evaluated before its sensitivity, since a Broyden update may serve."""
+        """Return whether to evaluate a point first, since a Broyden update may suffice."""
         e2, between = self.campaign.update.e2, self.campaign.sensitivity.between
         if e2 == 0.0 or between == "keep" or self.evaluator.cheap:
             return False
-        return self.n_jobs > self.campaign.parallel  # else a sensitivity takes no extra time
+        return self.n_jobs > self.campaign.parallel  # otherwise a sensitivity takes no extra time
 
     @property
     def n_jobs(self) -> int:
-        """The number of jobs of a point with its sensitivity, without those that all points share.
+        """Return the number of jobs of a point and its sensitivity, without those all points share.
 
-        It follows from a comparison of two distant points, without a run.
+        It follows from comparing the plans of two distant points, without a run.
         """
         low, high = (
             [job for work in self.evaluator.planned(theta) for job in work.jobs]
@@ -101,13 +101,11 @@ class Reuse:
 
         matrix: of the step; evaluation: at its end; left: the remaining share of the objective. A
         new matrix takes the rounds of its parallel jobs and one for the step, which is assumed to
-        reach e1; an updated one takes one round a step, at the rate of the last step. After a new
-        matrix the rate is not known, so it is tried.
+        reach e1. An updated matrix takes one round per step and converges at the rate of the last
+        step. After a new matrix this rate is unknown, so the update is tried.
         """
         if step.rank < step.change.size and step.regularisation == 0.0:
-            return (
-                False  # errors of the matrix would go where the test does not determine parameters
-            )
+            return False  # errors of the matrix would change undetermined parameters
         if matrix.age == 0:
             return True
         rounds = 1 + math.ceil((self.n_jobs - 1) / self.campaign.parallel)
@@ -117,15 +115,16 @@ class Reuse:
         return 2.0 * math.log(max(far, LEAST_WAY)) <= -rounds * math.log(max(left, 1e-300))
 
     def tries_again(self, slope: float) -> bool:
-        """Whether updating continues from the worse end of a step by an old matrix: with Broyden
-        updates, where the residual changed by at most e2 a parameter."""
+        """Return whether to continue from the worse end of a step by an old matrix.
+
+        Yes with Broyden updates, if the residual changed by at most e2 per parameter."""
         campaign = self.campaign
         return campaign.sensitivity.between == "broyden" and 0.0 < slope <= campaign.update.e2
 
     def continues(self, matrix: Matrix | None, evaluation: Evaluation) -> bool:
-        """Whether an old matrix that led to e1 continues to the minimum misfit, as new ones would.
+        """Return whether an old matrix that led to e1 continues to the minimum misfit.
 
-        The tolerance of e1 is then smaller than the deviations of frequencies: there is no noise.
+        It does if e1's tolerance is smaller than the deviations of frequencies: there is no noise.
         """
         if matrix is None or matrix.age == 0 or self.campaign.fields:
             return False
@@ -136,7 +135,7 @@ class Reuse:
         return noise.size > 0 and asked <= BELIEVED * math.sqrt(float(noise.min()))
 
     def older(self, matrix: Matrix, begun: Evaluation, evaluation: Evaluation) -> Matrix:
-        """Return the matrix of a step for further use, as it is or updated; begun: its start."""
+        """Return the matrix of a step for further use, unchanged or updated; begun: its start."""
         if self.campaign.sensitivity.between == "keep":
             return replace(matrix, age=matrix.age + 1)
         change = begun.residual.values - evaluation.residual.values
@@ -154,10 +153,10 @@ class Reuse:
 
 
 class Watcher(Protocol):
-    """The observer of a loop; its own methods do nothing."""
+    """The observer of a loop; these methods do nothing."""
 
     def working(self, text: str) -> None:
-        """This is being computed now."""
+        """Take note of the computation in progress."""
         return
 
     def noted(
@@ -170,15 +169,15 @@ class Watcher(Protocol):
         accepted: bool,
         skipped: bool,
     ) -> None:
-        """A point was evaluated, and this was decided.
+        """Take note of an evaluated point and the decision about it.
 
-        trial: that led to it, None at the start; newest: the newest matrix; skipped: whether e2
+        trial: the trial that led to it, None at the start. newest: the newest matrix. skipped: e2
         skipped the point's own matrix.
         """
         return
 
     def confirmed(self, evaluation: Evaluation) -> None:
-        """The solver's own modes at the last accepted point."""
+        """Take note of the solver's own modes at the last accepted point."""
         return
 
 
@@ -186,9 +185,9 @@ class Watcher(Protocol):
 class State:
     """The state of a loop.
 
-    current: the last accepted point; matrix: for the step from there, None until it is computed;
-    skip: the slope by which e2 skips the next iteration's matrix, None where it does not; region:
-    of the next step.
+    current: the last accepted point. matrix: for the step from there, None until it is computed.
+    skip: the slope for which e2 skips the next iteration's matrix, None if it does not. region: of
+    the next step.
     """
 
     current: Evaluation
@@ -201,8 +200,8 @@ class State:
 class TrialStep:
     """A step to a point, by a matrix, within a region.
 
-    begun: the start of its last part, to which the matrix belongs: the current point, or the worse
-    end of a step by an old matrix.
+    begun: the point to which the matrix belongs: the current point, or the worse end of a step by
+    an old matrix from which updating continued.
     """
 
     step: Step
@@ -213,7 +212,7 @@ class TrialStep:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The end of a step: the point, its new matrix if there is one, and e2's slope."""
+    """The end of a step: the point, its new matrix if any, and e2's slope."""
 
     by: TrialStep
     evaluation: Evaluation
@@ -250,7 +249,7 @@ class Trials:
         return self.number - self.first == self.campaign.update.max_iterations
 
     def start(self, title: str, around: Evaluation | None) -> State:
-        """Evaluate the first point; around: an evaluation that its modes are tracked from."""
+        """Evaluate the first point; around: an evaluation from which its modes are tracked."""
         self.watcher.working(title)
         theta, alone = self.campaign.start, self.campaign.update.max_iterations == 0
         current, matrix = self.evaluator.evaluate(self.first, theta, around, alone)
@@ -259,7 +258,7 @@ class Trials:
         return State(current, matrix, None, self.stepping.first)
 
     def matrix(self, state: State) -> Matrix:
-        """Return the matrix of the step from a state, computed if there is none."""
+        """Return the matrix of the step from a state; compute it if there is none."""
         if state.matrix is None:
             self.watcher.working(f"iteration {self.number}: sensitivities")
         self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
@@ -278,10 +277,10 @@ class Trials:
     def better(self, state: State, matrix: Matrix) -> Trial | None:
         """Return the first point that is better than the current one, or None.
 
-        With a new matrix the step is shortened until it helps. An old one gets one chance, and a
-        Broyden update a second: along a narrow valley a long step is worse by its curvature alone,
-        and the next step from its end, by the updated matrix, ends at the bottom, for one round of
-        runs instead of those of a new matrix.
+        With a new matrix the step is shortened until it is better. An old matrix gets one attempt,
+        and a Broyden update a second one: along a narrow valley a long step may be worse only
+        because of the valley's curvature. The next step, with the updated matrix, then reaches the
+        bottom for one round of runs instead of those of a new matrix.
         """
         current, stepping = state.current, self.stepping
         step = self.step(lambda: stepping.step(current, matrix, state.region))
@@ -307,7 +306,7 @@ class Trials:
                 if better or trial.evaluation.agrees(self.campaign.tolerances):
                     return trial
                 again = old and chance == 0 and self.reuse.tries_again(trial.slope)
-                self.note(trial, f"worse: {'corrected and gone on from' if again else ending}")
+                self.note(trial, f"worse: {'corrected, and continued from' if again else ending}")
                 if again:
                     by = self._continued(current, trial)
                     continue
@@ -318,7 +317,7 @@ class Trials:
         return None
 
     def _continued(self, current: Evaluation, trial: Trial) -> TrialStep:
-        """Return the step from the worse end of an old matrix's step, by the updated matrix."""
+        """Return the next step from the worse end of a step, with the updated matrix."""
         by, begun = trial.by, trial.evaluation
         matrix = self.reuse.older(by.matrix, by.begun, begun)
         step = self.step(lambda: self.stepping.step(begun, matrix, by.region))
@@ -326,13 +325,13 @@ class Trials:
         return TrialStep(step, matrix, by.region, begun)
 
     def tried(self, state: State, by: TrialStep, alone: bool = False) -> Trial:
-        """Evaluate the end of a step; alone: its modal job without sensitivities.
+        """Evaluate the end of a step; alone: run the modal job without sensitivities.
 
         Raises SolverError, ModesError, StoreError.
         """
         self.number += 1
         current = state.current
-        # Sensitivities are in vain where the point is not accepted or is the last.
+        # Sensitivities are wasted if the point is rejected or is the last one.
         alone = (
             alone
             or self.reuse.waits
@@ -362,14 +361,14 @@ class Trials:
     def note(
         self, trial: Trial, decision: str, accepted: bool = False, skipped: bool = False
     ) -> None:
-        """Report the decision about a trial."""
+        """Report the decision about a trial to the watcher."""
         self.watcher.noted(
             self.number, trial.evaluation, trial, self.newest, decision, accepted, skipped
         )
 
 
 def polished(trials: Trials, state: State) -> Trial | None:
-    """Return the next point from a state that meets e1, None where the gain is negligible."""
+    """Return the next point from a state that meets e1; None if the gain is negligible."""
     current, stepping = state.current, trials.stepping
     old = trials.reuse.continues(state.matrix, current)
     if not old and not trials.evaluator.polishes(current):
@@ -390,7 +389,7 @@ def polished(trials: Trials, state: State) -> Trial | None:
 
 
 def _better(trials: Trials, state: State, by: TrialStep) -> Trial | None:
-    """Evaluate the end of a step; None where it is not better, or e1 does not hold there."""
+    """Evaluate the end of a step; None if it is not better or does not meet e1."""
     try:
         trial = trials.tried(state, by)
     except (SolverError, ModesError) as error:
@@ -420,9 +419,9 @@ class Loop:
     """Updating from a start to its end, by `run`.
 
     region: lower and upper values within the parameters' bounds, each (n_parameters,), that limit
-    it further. around: an evaluation that the modes of the start are tracked from. first, title:
-    number and name of the first point. confirms: whether the solver's own modes confirm the end if
-    they came from another source. foresight: predictions of reduced models.
+    it further. around: an evaluation from which the modes of the start are tracked. first, title:
+    number and name of the first point. confirms: let the solver's own modes confirm the end if the
+    modes came from another source. foresight: predictions by reduced models.
     """
 
     campaign: Campaign
@@ -443,8 +442,8 @@ class Loop:
     def run(self) -> End:
         """Update until e1 holds, nothing more is gained, or the iterations are used up.
 
-        If the solver's own modes at the end do not confirm those of another source, updating
-        continues without the source that was wrong.
+        If the modes came from another source and the solver's own modes do not confirm them,
+        updating continues without that source.
         """
         state = self.trials.start(self.title, self.around)
         while True:
@@ -465,7 +464,7 @@ class Loop:
             return End(status, reason, state.current, self.trials.newest)
 
     def _until(self, state: State) -> tuple[str, State]:
-        """Iterate from a state; return how that ended, and the state there."""
+        """Iterate from a state; return the end and the state there."""
         trials = self.trials
         while True:
             if state.current.agrees(self.campaign.tolerances):
@@ -510,8 +509,8 @@ class Loop:
     def _accept(self, state: State, trial: Trial) -> tuple[State, bool]:
         """Return the state after a better point, and whether the gain is more than negligible.
 
-        e2 skips this point's sensitivity where a Broyden update can replace it, and the next one's
-        where the old matrix is kept as it is (thesis, 4.2), while steps gain what they predict.
+        While steps gain what they predict, e2 skips this point's sensitivity if a Broyden update
+        can replace it, or the next one's if the old matrix is kept unchanged (thesis, 4.2).
         """
         trials, by, there = self.trials, trial.by, trial.evaluation
         current, step, matrix, stepping = state.current, by.step, by.matrix, trials.stepping
@@ -520,7 +519,7 @@ class Loop:
         promised = before - stepping.objective(current, step.predicted, step, 1.0)
         kept = gain >= max(KEPT_PROMISE * promised, STATIONARY * before)
         small = 0.0 < trial.slope <= self.campaign.update.e2 and not matrix.missing
-        # Then no sensitivity would follow, so there is none to skip.
+        # No sensitivity follows then, so there is none to skip.
         ends = trials.used_up() or there.agrees(self.campaign.tolerances)
         spared, skip = None, None
         if trials.reuse.waits:
@@ -528,7 +527,7 @@ class Loop:
             pays = kept and trials.reuse.pays(matrix, step, there, left)
             spared = trial.slope if small and pays else None
         elif self.campaign.sensitivity.between == "broyden":
-            pass  # its matrix could only take the place of one that takes no time
+            pass  # its matrix could only replace one that takes no time
         elif not self.evaluator.cheap and (kept or matrix.age == 0):
             spared, skip = state.skip, trial.slope if small else None
         following = trial.matrix
@@ -559,36 +558,36 @@ def _distance(evaluation: Evaluation) -> str:
 
 
 class Silent(Watcher):
-    """Watches a loop and reports nothing."""
+    """A watcher of a loop that reports nothing."""
 
 
 class Foresight:
     """Predictions by the reduced models of an evaluator's cases: ends of steps, and evaluations.
 
-    A reduced model gives the modes around a point for all parameter values, so the loop runs on it
-    to its own end, with the campaign's step form, bounds and criteria, within the region in which
-    the step may end. Its end is one step of the real campaign. A step that is short compared with
-    one whose end was predicted well needs no solution of the matrices where the prediction meets
-    e1: the solver's own modes confirm it next.
+    A reduced model gives the modes around a point for any parameter values. The loop therefore runs
+    on it to the end, with the campaign's step type, bounds and criteria, within the region in which
+    the step may end. That end is one step of the real campaign. If the prediction meets e1, and the
+    step is short compared with one whose end was predicted well, the matrices are not solved there:
+    the solver's own modes confirm the prediction next.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:
         self.evaluator = evaluator
         self.campaign = evaluator.campaign
         self._end: Evaluation | None = None
-        #: The relative error of the last predicted frequencies, and the length of the step there.
+        #: Relative error of the last predicted frequencies, and the length of that step.
         self._miss: tuple[float, float] | None = None
         self._predicts = True
-        #: The cases on the newest reduced models; none before the first step.
+        #: Cases on the newest reduced models; empty before the first step.
         self.states: list[CaseState] = []
 
     def refined(
         self, current: Evaluation, step: Step, region: tuple[Floats, Floats]
     ) -> Step | None:
-        """Return the step to where updating ends on reduced models around the current point.
+        """Return the step to the end of updating on reduced models around the current point.
 
-        step: the linear one, whose regularisation and condition it keeps; region: lower and upper
-        values. None where a case has no reduced model, or updating fails on it.
+        step: the linear step, whose regularisation and condition are kept. region: lower and upper
+        values. None if a case has no reduced model, or updating on it fails.
         """
         states = []
         for state, part in zip(self.evaluator.used, current.parts, strict=True):
@@ -621,7 +620,7 @@ class Foresight:
     def predicted(self, theta: Floats, previous: Evaluation) -> Evaluation | None:
         """Return the prediction at a point, if e1 holds there and its error is small enough.
 
-        The error of a reduced model grows at least as the square of the step.
+        The error of a reduced model grows at least with the square of the step.
         """
         end = self._end_at(theta)
         if end is None or self._miss is None or not self._predicts:
@@ -645,24 +644,26 @@ class Foresight:
         return found if found.agrees(tolerances) else None
 
     def compare(self, evaluation: Evaluation, previous: Evaluation) -> None:
-        """Keep the error of the prediction of an evaluated point."""
+        """Record the error of the prediction of an evaluated point."""
         end = self._end_at(evaluation.theta)
         if end is not None:
             error = float(np.max(np.abs(end.errors - evaluation.errors)))
             self._miss = error, _length(evaluation.theta, previous)
 
     def refute(self, evaluation: Evaluation, apart: float) -> None:
-        """Predict no more, or replace the matrices: the solver's own frequencies at this point
-        differ by this, relative."""
+        """Stop predicting, or replace the matrices.
+
+        apart: relative difference from the solver's own frequencies at this point.
+        """
         predicted = any(part.solved_by == REDUCED for part in evaluation.parts)
-        if predicted and apart <= CONFIRMED:  # e1 is just not met
+        if predicted and apart <= CONFIRMED:  # the predictions agree; e1 is narrowly missed
             logger.info("the reduced model's frequencies differ by %.1e from the solver's", apart)
             self._predicts = False
         else:
             self.evaluator.refute_matrices(apart)
 
     def _end_at(self, theta: Floats) -> Evaluation | None:
-        """The end of the last step on reduced models, if it is this point."""
+        """Return the end of the last step on reduced models, if it is this point."""
         end = self._end
         if end is None or not np.allclose(end.theta, theta, rtol=0.0, atol=1e-12):
             return None

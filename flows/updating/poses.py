@@ -1,10 +1,10 @@
-"""The pose of a test that the measured shapes select among several with the same places.
+"""Selection of a test's pose by measured shapes, if several poses fit the sensors equally well.
 
-Each pose reads the same computed modes at its nodes and pairs them with the measured ones as
-updating does. The MAC of a pose is the mean over its pairs, for close modes that of their subspace:
-repeated modes have any direction within it, in the test and in the model, so a single MAC would
-select a pose by chance. A symmetric structure has the same subspaces at all of its poses, so shapes
-do not distinguish them either.
+Each pose reads the same computed modes at its own nodes and pairs them with the measured ones as
+updating does. The MAC of a pose is the mean over its pairs. For close modes it is that of their
+subspace: repeated modes have arbitrary directions within it, in the test and in the model, so
+single MAC values would select a pose by chance. A symmetric structure has the same subspaces in all
+its poses, so shapes cannot distinguish them either.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from modetune.flows.updating.mode_source import campaign_analysis
 
 logger = logging.getLogger(__name__)
 
-#: The best pose must lead by this much of MAC, and leave at most half of what the next one leaves
-#: of 1: what noise and errors of a model take from MAC they take from every pose.
+#: The best pose must lead by this much MAC, and its 1 - MAC must be at most half that of the next
+#: pose: noise and modelling errors reduce the MAC of every pose alike.
 LEAD, LEFT = 0.05, 0.5
 
 
 def settled(campaign: Campaign) -> Campaign:
     """Return the campaign with each test in a certain pose.
 
-    Poses with the same places take a modal run, whose shapes may select one. Raises CampaignError
-    for an alignment that is not certain; SolverError.
+    If several poses fit equally well, a modal run may select one by its shapes. Raises
+    CampaignError if the alignment is uncertain; SolverError.
     """
     cases, problems = [], []
     for case in campaign.cases:
@@ -48,7 +48,7 @@ def settled(campaign: Campaign) -> Campaign:
             found, said = by_shapes(case, outcome.result(ModalResult))
             logger.info("%s", said)
         problems += [
-            f"{case.of('the alignment of the test')} is not certain: {said or what}. {remedy}"
+            f"{case.of('the alignment of the test')} is uncertain: {said or what}. {remedy}"
             for what, remedy in found.mapping.uncertain
         ]
         cases.append(found)
@@ -76,7 +76,7 @@ def from_store(campaign: Campaign) -> tuple[Case, str] | None:
 def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     """Return the case at the pose that its shapes select, and a sentence about each.
 
-    result: with the nodes of all poses. The case stays where shapes speak for none.
+    result: with the nodes of all poses. The case is unchanged if shapes do not select a pose.
     """
     mappings = (case.mapping, *case.mapping.others)
     macs = np.array([_mean_mac(case, item, result) for item in mappings])
@@ -86,14 +86,14 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     told = "; ".join(poses[:LISTED_POSES]) + (f" and {more} more" if more > 0 else "")
     best, next_best = macs[order[:2]]
     if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
-        return case, f"measured shapes cannot tell its poses apart: {told}"
+        return case, f"measured shapes cannot distinguish its poses: {told}"
     chosen = replace(mappings[order[0]], doubts=(), others=())
     settled_case = replace(
         case,
         mapping=chosen,
         nodes=pairing_nodes(case.test, chosen.sensors, case.solver, case.gauged),
     )
-    return settled_case, f"of poses that places cannot tell apart measured shapes choose: {told}"
+    return settled_case, f"of the poses that fit the sensors, measured shapes select: {told}"
 
 
 def modal_job(campaign: Campaign) -> Job:

@@ -1,17 +1,17 @@
-"""Updating a campaign's model: from its file to its run folder, behind `modetune update`.
+"""Updating of a campaign's model, from its file to its run folder: `modetune update`.
 
-`update: {start: last}` starts from the parameters of the previous run's end, carried over as
-values of the deck's quantities, so a deck whose values were replaced in between means the same
-start. If nothing changed since that run, its own start is used again: the store then has every
-job, and an updating that ended without e1 is not pushed further night after night.
+`update: {start: last}` starts from the parameters at the end of the previous run. They are carried
+over as values of the deck's quantities, so the start is the same even if the deck's values were
+replaced in between. If nothing has changed since that run, its start is used again: the store then
+has every job, and an update that ended without e1 is not continued a little further every night.
 
 Updating from several starts shows whether the answer depends on the start. The campaign's own start
-comes first, the others are a Latin hypercube within the bounds: each has its own stratum in every
+comes first; the others are a Latin hypercube within the bounds, each with its own stratum in every
 parameter. All updates share one store and one engine and run in parallel. The best end is the
-campaign's answer; `starts.py` separates the local minima. Each update's record stays in the run
-folder as starts/NN.h5. The campaign's own record goes from its initial model straight to the best
-start and on along that update, with all results in the store. Where matrices serve, all searches
-run on reduced models within one update.
+campaign's answer; `starts.py` separates the local minima. The run folder keeps each update's record
+as starts/NN.h5. The campaign's own record has its initial model, then the best start and the
+iterations from there, whose results are all in the store. If the matrices are known for all values,
+all searches run on reduced models within one update.
 """
 
 from __future__ import annotations
@@ -90,12 +90,12 @@ from modetune.flows.updating.starts import (
 logger = logging.getLogger(__name__)
 
 LOG = "campaign.log"
-#: Bytes after which a new log is begun; the previous one is kept once.
+#: Size in bytes at which a new log begins; one previous log is kept.
 LONGEST = 8 << 20
 
 
 class _LogFile(RotatingFileHandler):
-    """A file whose trouble (a full disk) is none of the campaign's."""
+    """A log file whose errors (a full disk) do not stop the campaign."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         pass
@@ -103,7 +103,7 @@ class _LogFile(RotatingFileHandler):
 
 @contextmanager
 def campaign_log(campaign: Campaign, folder: Path) -> Iterator[None]:
-    """Write what modetune's loggers say of a campaign into its run folder."""
+    """Write the messages of modetune's loggers to the campaign's run folder."""
     ours = logging.getLogger("modetune")
     file = _LogFile(folder / LOG, maxBytes=LONGEST, backupCount=1, encoding="utf-8", delay=True)
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
@@ -132,7 +132,7 @@ def campaign_log(campaign: Campaign, folder: Path) -> Iterator[None]:
 
 
 def log_iterations(record: CampaignRecord, logged: int) -> int:
-    """Log the iterations of a record after the first ones that are; how many are then."""
+    """Log the iterations after the first `logged` of a record; return the new number logged."""
     for item in record.iterations[logged:]:
         row = iteration_row(item)
         logger.info(
@@ -148,8 +148,8 @@ def log_iterations(record: CampaignRecord, logged: int) -> int:
 class EarlierRun:
     """Inputs and end of a finished run, from its record.
 
-    test: numbers, frequencies, shapes, nodes and components as they were measured. started,
-    updated: parameters by name, updated ones as values of the deck's quantities. record: all of it.
+    test: numbers, frequencies, shapes, nodes and components as measured. started, updated:
+    parameters by name; updated ones are values of the deck's quantities. record: the whole record.
     """
 
     campaign_text: str
@@ -162,14 +162,14 @@ class EarlierRun:
 
 
 def read_earlier(folder: Path) -> EarlierRun | None:
-    """Return the previous run in this folder, or None; an unreadable record gives a warning."""
+    """Return the previous run in this folder, or None; warn if its record is unreadable."""
     path = folder / "campaign.h5"
     if not path.exists():
         return None
     try:
         record = read_record(path)
     except (CampaignError, StoreDamaged) as error:
-        logger.warning("the record of the run before cannot be read: %s", error)
+        logger.warning("the record of the previous run cannot be read: %s", error)
         return None
     names, first = record.parameters.names, record.iterations[0]
     ends = record.parameters.assigned(record.updated)
@@ -186,9 +186,9 @@ def read_earlier(folder: Path) -> EarlierRun | None:
 
 
 def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> CampaignRecord:
-    """Return the record with runs and times of the previous run, where the store had all jobs.
+    """Return the record with runs and times of the previous run if the store had all jobs.
 
-    A record has the cost of the model, not that of reading it from the store again.
+    So a record states the cost of computing the results, not of reading them from the store.
     """
     if earlier is None or record.runs.modal or record.runs.sensitivity:
         return record
@@ -206,7 +206,7 @@ def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> Campa
 
 
 def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:
-    """Whether campaign, settings, test, deck and solver are those of the run before."""
+    """Return whether campaign, settings, test, deck and solver are those of the previous run."""
     if (campaign.text, "\n".join(campaign.settings)) != (earlier.campaign_text, earlier.settings):
         return False
     now = _test_arrays(campaign.test)
@@ -224,11 +224,11 @@ def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> 
 
 
 def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) -> Campaign:
-    """The campaign with the start that its `update: start` asks for."""
+    """Return the campaign with the start that `update.start` selects."""
     if campaign.update.start == "deck":
         return campaign
     if earlier is None:
-        logger.info("there is no run before to start from; starting from the deck")
+        logger.info("there is no previous run to start from; starting from the deck")
         return campaign
     if is_unchanged(campaign, engine, earlier):
         names = campaign.parameters.names
@@ -240,7 +240,7 @@ def start_of(campaign: Campaign, engine: JobEngine, earlier: EarlierRun | None) 
         relative = item.relative_to(deck_value, value)
         known = np.isfinite(relative)
         begin.append(float(np.clip(relative, item.lower, item.upper)) if known else item.initial)
-    logger.info("starting from the parameters that the run before ended on")
+    logger.info("starting from the parameters at the end of the previous run")
     return replace(campaign, begin=tuple(begin))
 
 
@@ -257,9 +257,9 @@ def _test_arrays(test: MeasuredModes) -> tuple[NDArray[Any], ...]:
 
 @dataclass
 class Updating:
-    """A campaign under way. `run` carries it to its end.
+    """A campaign in progress; `run` completes it.
 
-    around: an evaluation point that the modes of the start are tracked from.
+    around: an evaluation from which the modes of the start are tracked.
     """
 
     campaign: Campaign
@@ -304,7 +304,7 @@ class Updating:
         return record
 
     def _with_causes(self, record: CampaignRecord) -> CampaignRecord:
-        """Return the record with what may be wrong where a model-form error is suspected."""
+        """Return the record with possible causes if a model-form error is suspected."""
         if record.trust is None or record.trust.times_noise == 0.0:
             return record
         parts = zip(self.evaluator.used, self.kept[-1].parts, strict=True)
@@ -371,7 +371,7 @@ class Updating:
         self.save(self._record("running", ""))
 
     def confirmed(self, evaluation: Evaluation) -> None:
-        """Put the solver's own modes in place of those of the last accepted set."""
+        """Replace the modes of the last accepted point by the solver's own."""
         place = max(n for n, record in enumerate(self.iterations) if record.accepted)
         before, runs = self.iterations[place], self.evaluator.runs
         apart = float(np.max(np.abs(evaluation.errors - before.frequency_errors)))
@@ -408,7 +408,7 @@ class Updating:
 
 
 def is_same(campaign: Campaign, folder: Path) -> bool:
-    """Whether nothing has changed since the run that left its record in a run folder."""
+    """Return whether nothing has changed since the run whose record is in a run folder."""
     earlier = read_earlier(folder)
     return earlier is not None and is_unchanged(campaign, job_engine(campaign), earlier)
 
@@ -430,7 +430,7 @@ def update_campaign(
     with FileLock(folder / ".lock") as lock:
         if not lock.take():
             raise CampaignRunning(
-                f"another run of this campaign is under way in {folder}; wait for it, or name "
+                f"another run of this campaign is in progress in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
         with campaign_log(campaign, folder), solving_engine(campaign) as engine:
@@ -446,7 +446,7 @@ def _update(
 ) -> CampaignRun:
     earlier = read_earlier(folder)
     campaign = start_of(campaign, engine, earlier)
-    # What an earlier run left stays until this one has come to its end.
+    # Results of an earlier run stay until this one has finished.
     unfinished, logged = folder / "campaign.unfinished.h5", 0
 
     def keep(record: CampaignRecord) -> None:
@@ -464,7 +464,7 @@ def _update(
         doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
         if doubt:
             logger.warning("%s; `model.checks: [units]` accepts that", doubt)
-    # There is no forecast of several models.
+    # There is no forecast for several models.
     if len(campaign.cases) > 1:
         forecast = None
     forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
@@ -492,10 +492,10 @@ def update_from_starts(
     progress: Progress,
     forecast: Callable[[Forecast], None] | None = None,
 ) -> CampaignRun:
-    """Update a campaign's model from as many starts as it asks for.
+    """Update a campaign's model from the number of starts that it requests.
 
-    Arguments and errors are those of `update_campaign`, which this is for one start, and which
-    tries the others too where evaluations are cheap. Raises where all starts fail.
+    Arguments and errors are those of `update_campaign`, which is called for a single start and
+    tries the others itself if evaluations are cheap. Raises if all starts fail.
     """
     campaign = settled(campaign)
     n = campaign.update.starts or 1
@@ -551,7 +551,7 @@ def _cost_little(campaign: Campaign) -> bool:
 def _run_starts(
     campaign: Campaign, engine: JobEngine, starts: Floats, progress: Progress
 ) -> list[StartEnd]:
-    """Updates from all starts, side by side. Raises what is not a start's own failure."""
+    """Run the updates from all starts in parallel. Raises errors of the whole campaign."""
     beside = min(campaign.parallel, len(starts))
     jobs = {
         job.identity
@@ -603,16 +603,16 @@ def _run_start(campaign: Campaign, engine: JobEngine, start: Floats) -> StartEnd
 
 
 def _paired_once(campaign: Campaign) -> bool:
-    """Whether pairs are those of the campaign's own start, and tracked from there."""
+    """Return whether modes are paired at the campaign's own start and tracked from there."""
     return any(case.rules.by_hand or case.rules.drop for case in campaign.used)
 
 
 def _joined(
     record: CampaignRecord, ends: list[StartEnd], spread: StartSpread, spent: RunCounts
 ) -> CampaignRecord:
-    """The record of the best update with what all starts cost and showed.
+    """Return the record of the best update, with the cost and the outcomes of all starts.
 
-    It begins with the campaign's own initial model, where that could be evaluated.
+    It begins with the campaign's own initial model, if that could be evaluated.
     """
     iterations, own = record.iterations, ends[0].record
     if spread.chosen > 0 and own is not None:

@@ -101,7 +101,7 @@ def test_poses_that_nothing_tells_apart_end_update_with_the_poses_to_paste(tmp_p
     report = json.loads(first.stdout)
     (told,) = [item for item in report["findings"] if "mean MAC" in item["what"]]
     assert told["level"] == "doubtful"
-    assert told["what"].startswith("measured shapes cannot tell its poses apart")
+    assert told["what"].startswith("measured shapes cannot distinguish its poses")
     assert "with `align: fit`" in told["remedy"]
     assert not any(
         "poses of the test fit equally well" in item["what"] for item in report["findings"]
@@ -137,7 +137,7 @@ def test_shapes_choose_a_pose_in_each_command_at_the_cost_of_one_run(tmp_path: P
     assert report["solver_runs"]["modal"] == 1
     (told,) = [item for item in report["findings"] if "mean MAC" in item["what"]]
     assert told["level"] == "good"
-    assert "choose: rotation: [0, 0, 20], translation: [0, 0, 0]: mean MAC 1.000" in told["what"]
+    assert "select: rotation: [0, 0, 20], translation: [0, 0, 0]: mean MAC 1.000" in told["what"]
 
     # From the store, without a run.
     after = run(tmp_path, "sensors", "plate.yaml", "--json", **INFO)

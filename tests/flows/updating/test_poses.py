@@ -54,7 +54,7 @@ def test_poses_that_shapes_cannot_tell_apart_stop_the_update(bench: Any, tmp_pat
     with pytest.raises(CampaignError) as raised:
         update_from_starts(campaign, tmp_path / "run", Unwatched())
     assert raised.value.exit_code == 2
-    assert "measured shapes cannot tell its poses apart" in str(raised.value)
+    assert "measured shapes cannot distinguish its poses" in str(raised.value)
     assert "with `align: fit`" in str(raised.value)
     assert bench.runs() == 1
 
@@ -62,7 +62,7 @@ def test_poses_that_shapes_cannot_tell_apart_stop_the_update(bench: Any, tmp_pat
 def test_an_alignment_in_doubt_stops_the_update_before_any_run(bench: Any, tmp_path: Path) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     doubted = recased(campaign, mapping=replace(campaign.case.mapping, doubts=("points slide",)))
-    with pytest.raises(CampaignError, match=r"not certain: points slide.*landmarks in `match`"):
+    with pytest.raises(CampaignError, match=r"uncertain: points slide.*landmarks in `match`"):
         update_from_starts(doubted, tmp_path / "run", Unwatched())
     assert bench.runs() == 0
 
@@ -83,7 +83,7 @@ SCREENING = ScreeningRequest("morris", None, 1, 4, False)
 def test_an_alignment_in_doubt_stops_each_study_before_any_run(bench: Any, study: Any) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     doubted = recased(campaign, mapping=replace(campaign.case.mapping, doubts=("points slide",)))
-    with pytest.raises(CampaignError, match=r"not certain: points slide.*landmarks") as raised:
+    with pytest.raises(CampaignError, match=r"uncertain: points slide.*landmarks") as raised:
         study(doubted)
     assert raised.value.exit_code == 2
     assert bench.runs() == 0
@@ -116,5 +116,5 @@ def test_a_ring_of_alike_masses_has_no_pose_of_its_own_wherever_its_repeated_mod
     ring = ModalResult.of_shapes((2.0 * np.pi * hz) ** 2, shapes, nodes, np.ones(6, int), hz, 0)
     found, said = by_shapes(case, ring)
     assert found.mapping.uncertain
-    assert said.startswith("measured shapes cannot tell its poses apart")
+    assert said.startswith("measured shapes cannot distinguish its poses")
     assert said.count("mean MAC 1.000") == 2

@@ -173,7 +173,7 @@ def test_a_corrected_step_that_a_narrow_valley_makes_worse_is_gone_on_from(
     np.testing.assert_allclose(skipping.updated, always.updated, rtol=1e-3)
     assert skipping.runs.sensitivity < always.runs.sensitivity
     said = [item.decision for item in skipping.iterations]
-    place = said.index("worse: corrected and gone on from")
+    place = said.index("worse: corrected, and continued from")
     worse, after = skipping.iterations[place : place + 2]
     before = [item for item in skipping.iterations[:place] if item.accepted][-1]
     assert (worse.accepted, after.accepted) == (False, True)

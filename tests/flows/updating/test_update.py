@@ -368,7 +368,7 @@ def test_two_runs_of_one_folder_are_refused(bench: Any, watcher: Any) -> None:
     folder.mkdir()
     with (folder / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(CampaignError, match="under way"):
+        with pytest.raises(CampaignError, match="in progress"):
             run(bench, watcher, bench.campaign(TRUTH))
     assert bench.runs() == 0
 
