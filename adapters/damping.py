@@ -2,7 +2,7 @@
 
 Dampers and springs act on sums of degrees of freedom, r^T u, and add numbers times r r^T; the loss
 factor of a material adds its share of the material's stiffness, which a matrix job at twice the
-modulus tells (`GROUP`, one job for all that share no node). Parameters of damping move neither
+modulus gives (`GROUP`, one job for all that share no node). Parameters of damping move neither
 stiffness nor mass, so no job knows of them.
 """
 
@@ -52,7 +52,8 @@ class Dampers:
     uniform: float = 0.0
 
     def model(self, deck: Deck, base: MatrixResult) -> DampingModel:
-        """In the equations of stored matrices. Raises ModelError for motions they do not tell."""
+        """Return damping in the equations of stored matrices. Raises ModelError for motions that
+        they do not contain."""
         found = []
         for link in self.links:
             nodes, components = np.array(link.dofs).T
@@ -106,7 +107,7 @@ class Coefficients:
         if place in self._driven:
             raise ModelError(
                 f"{where}: an expression gives this number of damping, which is unavailable: "
-                "make it a parameter of its own"
+                "make it a separate parameter"
             )
         return self._known.get(place, Linear(value))
 
@@ -136,8 +137,8 @@ def losses_of(
         if not whole.proportional:
             raise ModelError(
                 f"{where}: the loss factor of {own.by} {own.targets[0]} is followed where the "
-                "stiffness of its elements is all of that material's modulus: give laminates one "
-                "of their own (GE of PCOMP), and others a material of their own"
+                "stiffness of its elements is all of that material's modulus: give laminates a "
+                "factor (GE of PCOMP), and others a separate material"
             )
         scaled, within = list[int](), list[int]()
         for column, item, affected in moved:

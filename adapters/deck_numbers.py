@@ -40,7 +40,7 @@ def moved_numbers(
         there = parameter.number(number.value, value)
         refusal = parameter.refusal(there)
         if refusal:
-            remedy = "mend the expression" if parameter.expression else "mend its bounds"
+            remedy = "correct the expression" if parameter.expression else "correct its bounds"
             raise ModelError(f"{number.where}: parameter {parameter.name}: {refusal}; {remedy}")
         # A factor is taken as it is: value / number would lose its last digit.
         factor = parameter.shown(value)

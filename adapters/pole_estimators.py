@@ -49,7 +49,7 @@ def lscf_poles(frequencies_hz: Floats, values: Complexes, order: int) -> tuple[C
     if order < 2 or frequencies_hz.size < 2 * order + 2:
         raise CampaignError(
             f"--order {order} does not fit {frequencies_hz.size} lines in the band: "
-            f"2 to {max((frequencies_hz.size - 2) // 2, 2)} can be told"
+            f"choose 2 to {max((frequencies_hz.size - 2) // 2, 2)}"
         )
     start = float(frequencies_hz[0])
     scaled = values / np.sqrt(np.mean(np.abs(values) ** 2, axis=0))

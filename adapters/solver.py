@@ -1,7 +1,7 @@
 """The seam between modetune and a finite element solver.
 
-An adapter has a `Deck`, which says what stands in a model's file and edits it, and a `Program`,
-which says how a job of an edited deck is written, which command runs it and how its output is read.
+An adapter has a `Deck`, which reads and edits a model's file, and a `Program`, which writes jobs of
+an edited deck, names the command that runs them, and reads their output.
 It never starts a process (`process.py` does) and never decides what to run (the flows do). To add a
 solver, write a folder with the two and name it in `flows/campaign/solvers`.
 """
@@ -77,8 +77,8 @@ class Capabilities:
 
     tell_rigid: whether its strain energies of rigid modes are far below the rounding of their
     eigenvalues (stress times strain is, displacements times stiffness is not). matrix_modes:
-    whether modes of its stored matrices may stand for its own. masses: those of its jobs where
-    they are not what the deck asks for. to_confirm: names of those above
+    whether modes of its stored matrices may replace its own. masses: those of its jobs if they
+    differ from the deck's. to_confirm: names of those above
     that count only where the self-test of this installation has passed them (`Solver.offers`).
     """
 
@@ -116,7 +116,7 @@ def _write_texts(texts: Mapping[str, bytes], folder: Path) -> None:
         (folder / name).write_bytes(text)
 
 
-#: Stands in a command's arguments for the folder it is started in, which no argument can hold.
+#: Placeholder in a command's arguments for the folder in which it starts.
 FOLDER = "\0folder\0"
 
 
@@ -181,8 +181,8 @@ class AffectedElements:
 class Target:
     """Something of a deck that parameters may name: a material, a property, a set, elements.
 
-    names: several where there are so many that they are taken together. kind: the card that it is;
-    n_elements: of how many elements; title: what a comment of the deck calls it, mostly nothing.
+    names: several if they are grouped. kind: its card; n_elements: their number; title: its name in
+    a comment of the deck, mostly none.
     """
 
     by: TargetKind
@@ -199,7 +199,7 @@ Edited = Any
 class Deck(Protocol):
     """A model in its file, and the parameters that edit it.
 
-    What an adapter cannot tell it leaves out: the methods with a body below say so for it.
+    An adapter leaves out what it does not know: the methods with a body below are the defaults.
     """
 
     @property
@@ -231,7 +231,7 @@ class Deck(Protocol):
     def deck_value(self, parameter: Parameter) -> float:
         """The value the deck gives the parameter's quantity (the first one if several).
 
-        That of a variable, which stands nowhere in the deck, is its start.
+        That of a variable, which is not in the deck, is its start.
         """
         if parameter.quantity == "variable":
             return 1.0 if parameter.values == "relative" else parameter.shown(1.0)
@@ -253,7 +253,7 @@ class Deck(Protocol):
     def targets(self) -> tuple[Target, ...]:
         """What parameters may name, in the deck's order; that of a kind without numbers may be in.
 
-        Which quantities it has, `problems` tells.
+        `problems` checks which quantities it has.
         """
         return ()
 
@@ -267,18 +267,18 @@ class Deck(Protocol):
         return {name: (young / density) ** 0.5 for name, (young, density) in known if density}
 
     def material_masses(self) -> dict[str, float]:
-        """About the mass of each material of `wave_speeds`; empty where nothing tells it."""
+        """Return the approximate mass of each material of `wave_speeds`; empty if unknown."""
         return {}
 
     def largest_eigenvalue(self) -> float:
-        """About the largest eigenvalue of the model, (rad/s)^2, 0 where nothing tells it.
+        """Return the approximate largest eigenvalue of the model, (rad/s)^2, 0 if unknown.
 
         That of a bar of one element, 12 (c / l)^2, as long as the shortest way between corners.
         """
         speed = max(self.wave_speeds().values(), default=0.0)
         try:
             return 12.0 * (speed / self.least_length()) ** 2 if speed else 0.0
-        except ModelError:  # told where the mesh itself is wanted
+        except ModelError:  # raised where the mesh itself is used
             return 0.0
 
     def least_length(self) -> float:
@@ -311,7 +311,7 @@ class Deck(Protocol):
         None where they are not a sum of powers of its value (Poisson's ratio), where the number of
         equations depends on it, or where the solver has no matrices. Of two parameters that scale
         the same thing (the material and the thickness of one shell) the matrices have products,
-        of which this does not tell.
+        which this does not include.
         """
         return None
 
@@ -326,13 +326,13 @@ class Deck(Protocol):
         return nothing_known(nodes.size, matrices.nodes.size)
 
     def undamped(self) -> str:
-        """Why damping cannot be computed of the model; empty where `damping` tells of it."""
+        """Why damping cannot be computed; empty where `damping` gives it."""
         return f"{self.summary.name}: no damping is known of this model"
 
     def losses(self) -> tuple[Parameter, ...]:
         """Factors on the stiffness of groups of elements that have a loss factor.
 
-        They are no campaign's: `edited` takes them beside its parameters, as factors on these.
+        They belong to no campaign: `edited` takes them with its parameters, as factors on these.
         """
         return ()
 

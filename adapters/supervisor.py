@@ -231,7 +231,7 @@ def supervise(
 
 
 def requested() -> tuple[str, int, list[str], dict[str, str], str]:
-    """What to supervise, in a process of its own for each request; ends with who makes them."""
+    """Return what to supervise, in a new process for each request; ends with the requesting one."""
     requests = _socket.socket(fileno=0)
     _signal.signal(_signal.SIGCHLD, _signal.SIG_IGN)  # the kernel sees to supervisors that end
     while True:
@@ -261,7 +261,7 @@ def requested() -> tuple[str, int, list[str], dict[str, str], str]:
 
 
 def _read(size: int) -> bytes:
-    """So many bytes of standard input; where they do not come nobody wants anything any more."""
+    """Return `size` bytes of standard input; fewer mean that the requesting process has ended."""
     data = b""
     while len(data) < size:
         piece = os.read(0, size - len(data))

@@ -153,7 +153,7 @@ def _locate(
         for key, value in node.value:
             line = key.start_mark.line + 1
             if key.value in seen:
-                raise CampaignError(f"{path}, line {line}: the key `{key.value}` stands twice")
+                raise CampaignError(f"{path}, line {line}: the key `{key.value}` occurs twice")
             seen.add(key.value)
             lines[(*place, str(key.value))] = line
             _locate(value, (*place, str(key.value)), path, lines, words)

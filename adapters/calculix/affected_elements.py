@@ -49,7 +49,7 @@ def affected_elements_of(
 ) -> AffectedElements | None:
     """What these numbers of the deck move, as one relative value of theirs.
 
-    powers: by which they follow it, but for thickness and dimensions.
+    powers: by which they follow it; none for thickness and dimensions.
     None where the matrices are not a polynomial of it, where a step before the frequency step may
     preload the structure, or where the number of equations depends on the value.
     """
@@ -131,7 +131,7 @@ def changed_places(
     texts: the lines of the deck at 1 and at these values.
     None where more than numbers that matrices are linear in differ, or where such a number is not
     linear in the value (a thickness: not proportional to it; constants of an anisotropic material:
-    no cubic polynomial of it, which takes four values to tell).
+    no cubic polynomial of it, which four values would show).
     """
     if len({len(lines) for lines in texts}) > 1:
         return None
@@ -281,7 +281,8 @@ def _thicknesses(structure: CalculixStructure) -> dict[int, float]:
     found = {}
     for card in structure.deck.named("*SHELL SECTION"):
         if "NODALTHICKNESS" in card.options:
-            raise ModelError(f"{structure.deck.where(card)}: nodes have thicknesses of their own")
+            where = structure.deck.where(card)
+            raise ModelError(f"{where}: nodes define thicknesses; give *SHELL SECTION one")
         layers = card.data if "COMPOSITE" in card.options else card.data[:1]
         total = sum(structure.deck.number(line, 0) for line in layers)
         for number in structure.mesh.element_sets.get(card.option("ELSET"), frozenset()):

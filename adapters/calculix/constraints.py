@@ -26,7 +26,7 @@ class Constraints:
     """held: degrees of freedom of *BOUNDARY, in the node's own axes where it is turned.
 
     dependent: of each dependent one of *EQUATION its terms, u = sum of factor times u_term.
-    terms: all that stand in equations. bodies: rigid bodies of their nodes; a rotation of 0 is
+    terms: all terms of equations. bodies: rigid bodies of their nodes; a rotation of 0 is
     not known. turned: nodes of *TRANSFORM. followed: whether the deck has no other ties.
     """
 

@@ -1,6 +1,6 @@
 """The program that runs ccx2paraview: the modes of a .frd file as MODE.vtu in this folder.
 
-ccx2paraview 3.2 writes each step in a thread of its own while it puts the next step's data into
+ccx2paraview 3.2 writes each step in a separate thread while it puts the next step's data into
 the same grid: in small models files held the shape of the mode after theirs. Here it gets one file
 a mode, which it has written when it returns. Started as `python -m`, with the .frd file.
 """

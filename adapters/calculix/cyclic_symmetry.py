@@ -42,7 +42,7 @@ BEYOND = 4
 
 @dataclass(frozen=True, slots=True)
 class CyclicSymmetry:
-    """So many sectors, and the nodal diameters that are wanted, the first and the last one."""
+    """The number of sectors, and the first and last wanted nodal diameter."""
 
     sectors: int
     first: int

@@ -25,7 +25,7 @@ from modetune.core.errors import ModelError
 
 #: ccx reads at most this many characters of a number.
 FIELD_WIDTH = 20
-#: Relative difference of a number that was cut to them from itself: digits that nobody misses.
+#: Relative change of a number cut to them that is negligible.
 CUT = 1e-12
 #: What comments start with. ccx passes over `>**` before the first keyword and in steps.
 COMMENTS = ("**", ">**")
@@ -54,7 +54,7 @@ class KeywordCard:
 
 
 class OwnLines(Sequence[Line]):
-    """Lines of a text, each made when it is looked at: a translated deck has a million."""
+    """Lines of a text, each created at its access: a translated deck has a million."""
 
     def __init__(self, texts: Sequence[str], file: Path) -> None:
         self._texts = texts
@@ -79,7 +79,7 @@ class OwnLines(Sequence[Line]):
 
 @dataclass(frozen=True, slots=True)
 class KeywordDeck:
-    """A deck with its includes in place: lines as they stand, and the cards they form."""
+    """A deck with its includes in place: its lines, and the cards they form."""
 
     file: Path
     lines: Sequence[Line]
@@ -168,9 +168,9 @@ def _read_file(
 
 
 def _include(line: Line, main: Path) -> Include:
-    """What an *INCLUDE line names: ccx looks from where it runs, beside the main deck.
+    """Return the file of an *INCLUDE line: ccx searches in the folder of the main deck.
 
-    A file that stands beside the including one instead, as other programs have it, is taken too.
+    A file in the folder of the including one, where other programs search, is accepted too.
     """
     found = INCLUDED.search(line.text)
     if found is None:
@@ -236,7 +236,7 @@ def check_width(line: Line, texts: Iterable[str]) -> None:
     for text in map(str.strip, texts):
         if len(text) <= FIELD_WIDTH:
             continue
-        with suppress(ValueError):  # what is not a number at all is told elsewhere
+        with suppress(ValueError):  # what is no number is refused elsewhere
             whole, left = float(text), text[:FIELD_WIDTH]
             try:
                 same = math.isclose(float(left), whole, rel_tol=CUT)
@@ -273,7 +273,7 @@ def write_edited(deck: KeywordDeck, changed: Mapping[int, str], folder: Path) ->
 
 
 def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
-    """An *INCLUDE line that names another file. ccx looks from beside the main deck, not holder."""
+    """Return an *INCLUDE line that names another file, relative to the main deck, not to holder."""
     (line,) = lines
     found = INCLUDED.search(line.text)
     assert found is not None

@@ -1,7 +1,7 @@
 """The .frd file of a modal job: requested, checked, read, and converted by ccx2paraview.
 
 ccx2paraview takes missing lines for zeros, so lines are counted before it sees them. It runs as a
-program of its own (`convert.py`).
+separate program (`convert.py`).
 
 Each mode is a block `100C ... MODAL` with its frequency and the number of nodes, and lines ` -1`
 with a node in ten columns and three values in twelve each; the block DISP is read.
@@ -41,7 +41,7 @@ REMEDY = "remove its folder and run the same command again, which takes the shap
 def with_frd(text: str) -> str:
     """The text of a modal job that writes shapes to its .frd file too.
 
-    Shells and beams as they stand in the deck, not expanded, and all in global axes.
+    Shells and beams as in the deck, not expanded, and all in global axes.
     """
     return text.removesuffix(END) + f"*NODE FILE, OUTPUT=2D, GLOBAL=YES\nU\n{END}"
 

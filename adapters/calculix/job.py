@@ -2,12 +2,12 @@
 
 Everything up to the user's frequency step stays (preload steps included), without its requests
 for output. The frequency step keeps what belongs to the model, such as *BOUNDARY, before and after
-*FREQUENCY as it stands, and the options of *FREQUENCY; it gets our number of modes and our output.
+*FREQUENCY unchanged, and the options of *FREQUENCY; it gets our number of modes and our output.
 A deck without steps gets a plain one. A small model gets spare unknowns before all else.
 
 ARPACK as ccx calls it takes five vectors for a mode, and refuses more vectors than unknowns: of a
-chain of nine masses ccx finds one mode. So a small model gets masses on springs of their own, tied
-to nothing, far above its modes, and all that it has are found. No more are asked for than its
+chain of nine masses ccx finds one mode. So a small model gets additional masses on springs, tied to
+nothing, far above its modes, and ccx finds all modes of the model. No more are asked for than its
 nodes have translations that are free; if ties leave it fewer, modes of spare unknowns follow, and
 are taken off again.
 """
@@ -147,7 +147,8 @@ def _split(
     first = frequency[0].lines.start
     above = [step.lines.start for step in steps if step.lines.start < first]
     if not above:
-        raise ModelError(f"{deck.where(frequency[0])}: *FREQUENCY stands outside a *STEP")
+        where = deck.where(frequency[0])
+        raise ModelError(f"{where}: *FREQUENCY is outside a *STEP; move it into one")
     start = above[-1]
     ends = [card.lines.start for card in deck.named("*END STEP") if card.lines.start > first]
     stop = ends[0] if ends else len(deck.lines)
@@ -174,10 +175,10 @@ MOST_NODES = 20_000
 
 
 def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
-    """Lines of a deck for a model that may have too few unknowns for so many modes, else none."""
+    """Return lines for a model that may have too few unknowns for `n_modes` modes, else none."""
     wanted, free = FOR_A_MODE * n_modes, _free(structure)
     if any("COMPOSITE" in card.options for card in structure.sections):
-        return []  # ccx 2.20 takes no masses and springs beside composite shells
+        return []  # ccx 2.20 accepts no masses and springs together with composite shells
     if not free or len({node for node, _ in free}) >= wanted:
         return []
     first = max(structure.mesh.nodes, default=0) + 1
@@ -199,7 +200,7 @@ def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
 
 @lru_cache(maxsize=4)
 def _free(structure: CalculixStructure) -> frozenset[Dof]:
-    """Translations that are not held, dependent or a rigid body's, and those that stand for others.
+    """Return translations that are not held, dependent or a rigid body's, and independent ones.
 
     Empty for large models, and where ties cannot be read, of which ccx says what is wrong.
     """
@@ -217,7 +218,7 @@ def _free(structure: CalculixStructure) -> frozenset[Dof]:
 
 
 def modes_at_most(structure: CalculixStructure, n_modes: int) -> int:
-    """So many modes, or as many as the model has freedoms for (one sector tells not)."""
+    """Return `n_modes`, or the number that the model has freedoms for (unknown from one sector)."""
     if structure.deck.named("*CYCLIC SYMMETRY MODEL"):
         return n_modes
     return min(n_modes, len(_free(structure)) or n_modes)

@@ -1,14 +1,14 @@
 """The load cases of a CalculiX deck: concentrated and distributed loads of its *STATIC steps.
 
-A case has the number of its step among the static ones. Loads go on from step to step until
+A case has the number of its step among the static ones. Loads persist from step to step until
 OP=NEW; within one step those of a degree of freedom add up, and the first one there takes the
-place of an earlier step's (seen in reactions of ccx 2.20). A distributed load that stands twice on
-one element is refused.
+place of an earlier step's (seen in reactions of ccx 2.20). A distributed load given twice on one
+element is refused.
 
 Distributed loads become forces at nodes, f_i = int N_i b dV. Gravity and rotation act on an
 element's mass, pressure on a face of a solid (into it) or on a shell (along its normal). Of shells
-and beams, which ccx expands to solids, the forces of the expanded nodes that stand for one of the
-deck add up to what the shape functions of the deck's own element give; how they are spread over the
+and beams, which ccx expands to solids, the forces of the expanded nodes of one node of the deck
+add up to what the shape functions of the deck's own element give; how they are spread over the
 thickness is not kept.
 """
 
@@ -114,13 +114,13 @@ def _spread(structure: CalculixStructure, line: int) -> SpreadLoad:
 
 
 def _refuse_twice(spread: list[SpreadLoad]) -> None:
-    """Raise ModelError where a load stands twice on an element: ccx takes one of them."""
+    """Raise ModelError if a load is given twice on an element: ccx takes one of them."""
     seen: dict[tuple[str, int], str] = {}
     for load in spread:
         for number in load.elements:
             if (load.label, number) in seen:
                 raise ModelError(
-                    f"{load.where}: {load.label} on element {number} stands there already "
+                    f"{load.where}: {load.label} on element {number} is defined already "
                     f"({seen[load.label, number]}); give it once, with OP=NEW in a later step"
                 )
             seen[load.label, number] = load.where
@@ -146,7 +146,7 @@ def _refuse(structure: CalculixStructure, card: KeywordCard, wanted: bool) -> No
     where = structure.deck.where(card)
     if card.is_one_of("*BOUNDARY"):
         raise ModelError(
-            f"{where}: *BOUNDARY in a step; supports must stand above all steps, and enforced "
+            f"{where}: *BOUNDARY in a step; supports must be above all steps, and enforced "
             "displacements are not supported, since stored matrices have no equations there: "
             "load the structure by forces"
         )
@@ -172,7 +172,7 @@ ELLIPSE = 2.0 + 8.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 
 @dataclass(frozen=True, slots=True)
 class SpreadLoad:
-    """A line of *DLOAD: elements, its label, what stands behind it, and file and line."""
+    """A line of *DLOAD: elements, label, numbers, and file and line."""
 
     elements: frozenset[int]
     label: str

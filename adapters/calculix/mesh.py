@@ -1,8 +1,8 @@
 """The mesh of a CalculiX deck: nodes, elements, named sets, and the roles of nodes in elements.
 
 ccx numbers the nodes of an element in a deck as VTK does (corners, then midside nodes round one
-face, round the other, and between the two), but for beams and trusses of three nodes, whose middle
-one stands second. Its .frd files have yet another order, which does not matter here.
+face, round the other, and between the two), except for beams and trusses of three nodes, whose
+middle one is second. Its .frd files have another order, which does not matter here.
 
 ccx expands shells and beams to solids: a node of the deck becomes several on the element's
 normal, or a knot (a rigid body) where elements of different normals or thickness meet. What a node
@@ -41,7 +41,7 @@ Role = Literal[
     "solid", "point", "shell", "shell corner", "shell middle", "beam", "beam end", "beam middle",
     "other",
 ]  # fmt: skip
-#: Types of elements with the roles of their nodes; the last one stands for all further nodes.
+#: Types of elements with the roles of their nodes; the last one holds for all further nodes.
 ROLES: tuple[tuple[re.Pattern[str], tuple[Role, ...]], ...] = (
     (re.compile(r"C3D(4|6|8[IR]?|10T?|15|20R?)"), ("solid",)),
     (re.compile(r"SPRING[12A]|MASS|DASHPOTA"), ("point",)),
@@ -239,7 +239,7 @@ OTHERS: dict[str, CellKind] = {
     "SPRINGA": "line", "SPRING2": "line", "DASHPOTA": "line", "GAPUNI": "line",
     "SPRING1": "vertex", "MASS": "vertex", "DCOUP3D": "vertex",
 }  # fmt: skip
-#: The middle node of these stands second in a deck, third in VTK.
+#: The middle node of these is second in a deck, third in VTK.
 MIDDLE_SECOND: tuple[CellKind, ...] = ("line3",)
 
 

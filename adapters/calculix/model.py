@@ -41,8 +41,8 @@ DIRECTIONS = (1, 2, 3)
 class EditedCalculix:
     """A model with some lines of its deck changed.
 
-    frames: axes in which shapes are wanted, by node, where another deck (one that was translated)
-    stands behind this one; None where this one is the user's.
+    frames: axes in which shapes are wanted, by node, if this deck is the translation of another;
+    None if it is the user's.
     """
 
     structure: CalculixStructure
@@ -227,7 +227,7 @@ class CalculixModel(Deck):
 def point_mass(structure: CalculixStructure, changed: dict[int, str]) -> float:
     """Sum of all *MASS elements, which ccx leaves out of its own total.
 
-    NaN beside user elements, of which ccx prints no mass.
+    NaN with user elements, for which ccx prints no mass.
     """
     total = math.nan if structure.deck.named("*USER SECTION") else 0.0
     for card in structure.deck.named("*MASS"):

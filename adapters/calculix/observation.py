@@ -1,6 +1,6 @@
 """What ccx prints as displacements of nodes, in terms of the equations of its stored matrices.
 
-The names of equations (`.dof`) tell node and component. Of solids a name stands once. The nodes
+The names of equations (`.dof`) contain node and component. Of solids a name occurs once. The nodes
 that a shell or beam is expanded to carry the number of the deck's node each: (bottom, top) of
 linear shells and of middle nodes of quadratic ones, (bottom, middle, top) of their corners, four
 of a linear beam, eight (corners of the section first) of an end of a quadratic one. ccx prints
@@ -10,8 +10,8 @@ Where the deck's own node has unknowns too, because a solid, spring or mass shar
 *EQUATION names it, they come first, and bottom + top = 2 own takes the bottom's place. A knot
 (elements of different normal or thickness meet) has the node's own translations alone. A component
 held by *BOUNDARY is zero, while one of the expanded nodes may keep an equation of that name. So
-the number of equations of a name, with the node's roles in its elements, tells which case it is;
-where it does not, the degree of freedom is unknown.
+the number of equations of a name, with the node's roles in its elements, shows which case it is;
+otherwise the degree of freedom is unknown.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def observe(
 
 @dataclass(frozen=True, slots=True)
 class Naming:
-    """rows: equations of each name, ascending; offset: whether a section lies beside its nodes."""
+    """rows: equations of each name, ascending; offset: whether a section is off its nodes."""
 
     rows: dict[Dof, list[int]]
     roles: dict[int, set[Role]]
@@ -107,7 +107,7 @@ class Naming:
         if len(expanded) == 1 and len(rows) == len(ALONE[role]):
             weights = OWN[role] if self._has_own(dof) else ALONE[role]
             return {row: weight for row, weight in zip(rows, weights, strict=True) if weight}
-        # Of a knot beside its node ccx prints the motion of the section's middle, which turns.
+        # Of a knot off its node ccx prints the motion of the section's middle, which rotates.
         if self._held(dof):
             return {} if rows or not self.offset else None
         return {rows[0]: 1.0} if self._is_knot(dof) and not self.offset else None
@@ -132,7 +132,7 @@ class Naming:
         return None
 
     def _has_own(self, dof: Dof) -> bool:
-        """Whether the deck's node of a shell or beam, no knot, has an unknown of its own."""
+        """Return whether the deck's node of a shell or beam, no knot, has an unknown."""
         return bool(self.roles[dof[0]] & {"solid", "point"}) or dof in self.constraints.terms
 
     def _held(self, dof: Dof) -> bool:
@@ -146,8 +146,8 @@ class Naming:
     def _is_knot(self, dof: Dof) -> bool:
         """Whether an expanded node is a rigid body with the node's own translations.
 
-        Held rotations take equations of expanded nodes away too, and then it cannot be told, nor
-        where turned axes are held.
+        Held rotations remove equations of expanded nodes too; then, and with held turned axes, it
+        is unknown.
         """
         node, _ = dof
         held = [place for place in range(1, 7) if (node, place) in self.constraints.held]

@@ -220,7 +220,7 @@ def _eigenvalues(head: str) -> Floats:
 
 def _displacements(mode: str, node_set: str) -> tuple[Integers, Floats]:
     """Node numbers (n,), and the shape (3 n,) as x, y, z node by node."""
-    # Beside user elements all unknowns of a node are printed, the translations first.
+    # With user elements ccx prints all unknowns of a node, the translations first.
     found = re.search(r" displacements \((?:vx,vy,vz|v\(i\),i=1\.\.ndof)\)(.*)\n\s*", mode)
     if found is None:
         raise ValueError("a mode has no displacements")

@@ -99,7 +99,7 @@ class CalculixProgram:
     def render(self, deck: EditedCalculix, analysis: Analysis) -> Rendered:
         text = job_text(deck.structure, deck.changed, analysis)
         modal = isinstance(analysis, ModalAnalysis)
-        if not modal and find_spec("polars") is None:  # reads them: told before the run
+        if not modal and find_spec("polars") is None:  # reads them: refused before the run
             raise ModuleNotFoundError("No module named 'polars'", name="polars")
         if self.with_frd and modal:
             text = with_frd(text)
@@ -192,10 +192,10 @@ def _node_set(folder: Path) -> str:
 def _place(
     messages: list[SolverMessage], structure: CalculixStructure, changed: Mapping[int, str]
 ) -> str:
-    """Where the user's deck has what the messages speak of, the file alone where none tells.
+    """Return the place in the user's deck that the messages name, or the file.
 
     A message may quote a line (in upper case without blanks, often below the first message),
-    name an element, or at least the keyword, which tells if there is one such card.
+    name an element, or a keyword, which is enough if there is one such card.
     """
     lines = structure.deck.lines
     squeezed: dict[str, int] = {}

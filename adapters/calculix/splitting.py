@@ -1,9 +1,9 @@
-"""Materials and sections of their own for the elements that parameters name.
+"""Separate materials and sections for the elements that parameters name.
 
 A parameter of a material that names element sets or elements, and one of a section that names some
 of its elements, acts on these alone. Where others share the section, each part gets an element set
-and a section of its own; where others share the material, the sections concerned name a copy of
-it. A comment line before each copy says what it is.
+and a section; if others share the material, the sections concerned name a copy of it. A comment
+line before each copy states what it is.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ENTRIES = 16
 
 
 def split_model(structure: CalculixStructure, parameters: Sequence[Parameter]) -> CalculixStructure:
-    """The model with sections and materials of their own for what parameters name."""
+    """Return the model with separate sections and materials for the elements of parameters."""
     return _split_materials(_split_sections(structure, parameters), parameters)
 
 
@@ -144,7 +144,7 @@ def _text_lines(deck: KeywordDeck, card: KeywordCard) -> list[int]:
 
 
 def _block(deck: KeywordDeck, head: KeywordCard) -> list[int]:
-    """The lines of a material: its *MATERIAL and the cards that go on with it."""
+    """Return the lines of a material: its *MATERIAL and the cards that continue it."""
     lines = _text_lines(deck, head)
     for card in deck.cards[deck.cards.index(head) + 1 :]:
         if not card.is_one_of(*OF_MATERIAL):

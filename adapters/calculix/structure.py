@@ -57,7 +57,7 @@ class CalculixStructure:
         )
 
     def _followed(self) -> bool:
-        """Whether all elements and ties are of kinds whose displacements equations tell."""
+        """Whether equations give the displacements of all kinds of elements and ties."""
         kinds = {element.kind for element in self.mesh.elements.values()}
         return not self.deck.named(*NOT_FOLLOWED) and all(
             "other" not in roles_of(kind) for kind in kinds

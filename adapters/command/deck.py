@@ -70,7 +70,7 @@ class CommandDeck(Deck):
         if not spots:
             names = ", ".join(name for name in self.template.spots if name != N_MODES) or "none"
             raise ModelError(
-                f"{self.template.path}: {parameter.name} stands nowhere; write a placeholder of "
+                f"{self.template.path}: {parameter.name} does not occur; write a placeholder of "
                 f"this name where its number is, or an edit under `model.command` that says where "
                 f"(there are: {names})"
             )

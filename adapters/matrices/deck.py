@@ -123,7 +123,7 @@ class MatrixDeck(Deck):
     def undamped(self) -> str:
         if self.model.damping(self.parameters).dampers:
             return ""
-        return f"{self.file.path}: no `viscous` or `structural` damping stands in the model"
+        return f"{self.file.path}: the model has no `viscous` or `structural` damping"
 
     def damping(self, base: MatrixResult) -> DampingModel:
         return self.model.damping(self.parameters)
@@ -259,7 +259,7 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
             )
             break
         if (int(node), int(axis)) in found:
-            problems.append(f"{path}, line {number}: {line.strip()} stands twice")
+            problems.append(f"{path}, line {number}: {line.strip()} occurs twice")
             break
         found[(int(node), int(axis))] = number
     else:

@@ -1,1 +1,1 @@
-"""Nastran decks: their text, what their cards mean, and where parameters stand in them."""
+"""Nastran decks: their text, the meaning of their cards, and the places of parameters."""

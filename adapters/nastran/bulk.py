@@ -60,10 +60,10 @@ DEFAULTS = {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 BY_POINTS = ("CORD2R", "CORD2C", "CORD2S")
 #: A message shows the first objections of many.
 SHOWN = 20
-#: Elements whose ends are scalar points without a card of their own, in every Nastran.
+#: Elements whose ends are scalar points without a card, in every Nastran.
 SCALAR = ("CELAS3", "CELAS4", "CMASS3", "CMASS4", "CDAMP3", "CDAMP4", "CDAMP5")
 
-#: Scalar masses, and where their two ends stand, each with a component.
+#: Scalar masses, and the fields of their two ends, each with a component.
 ENDS_AT = {"CMASS1": (3, 5), "CMASS2": (3, 5)}
 #: Elements that never have any.
 NO_MASS = (
@@ -291,7 +291,7 @@ def _check_integers(deck: NastranDeck, card: NastranCard) -> None:
 
 
 def _repeated(deck: NastranDeck, owners: Owners) -> dict[NastranCard, str]:
-    """Cards that give a number once more to something else; equal cards may stand twice."""
+    """Return cards that give a used number to something else; equal cards may occur twice."""
     found = {}
     for family in (getattr(owners, field.name) for field in fields(Owners)):
         for number, cards in family.items():
@@ -346,7 +346,7 @@ Patch = tuple[Any, dict[str, Any]]
 def edited_bulk(deck: NastranDeck, bulk: Bulk, changed: Mapping[int, str]) -> Iterator[Bulk]:
     """The model of a deck with some lines changed, valid inside of the context alone.
 
-    bulk: that of the deck as it is; nobody else may look at it meanwhile. Raises ModelError.
+    bulk: that of the unchanged deck, locked against other readers. Raises ModelError.
     """
     patches = _patches(deck, bulk, changed) if changed else []
     if patches is None:

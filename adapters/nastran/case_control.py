@@ -64,7 +64,7 @@ class Statement:
 
     @property
     def value(self) -> str:
-        """What stands behind the equals sign (or, as some write it, behind the name)."""
+        """The text after the equals sign or, without one, after the name."""
         _, equals, right = self.text.partition("=")
         return (right if equals else self.text.split(None, 1)[-1]).strip()
 
@@ -234,7 +234,7 @@ def _only_sets(deck: NastranDeck) -> tuple[str, ...]:
         if len(sets) > 1:
             raise ModelError(
                 f"{deck.file}: the file has no case control, and {name} sets {', '.join(sets)} "
-                f"stand side by side; say which one holds with case control (`{name} = "
+                f"are both there; say which one holds with case control (`{name} = "
                 f"{sets[0]}` between CEND and BEGIN BULK)"
             )
         chosen += [f"{name} = {number}" for number in sets]
@@ -268,7 +268,7 @@ def _one(subcases: list[list[Statement]]) -> list[Statement]:
     places = ", ".join(subcase[0].where.rsplit(", ", 1)[-1] for subcase in chosen or subcases)
     raise ModelError(
         f"{subcases[0][0].where}: {len(chosen)} of {len(subcases)} subcases have a METHOD or SPC "
-        f"({places}), and which modes are meant cannot be told; leave one"
+        f"({places}), so the wanted modes are ambiguous; keep one"
     )
 
 
@@ -291,7 +291,7 @@ def _selects(statement: Statement, *more: str) -> bool:
 
 
 def _describers(statement: Statement) -> str:
-    """TEMPERATURE(INITIAL) and TEMPERATURE(LOAD) stand side by side."""
+    """Return the describers, by which TEMPERATURE(INITIAL) and TEMPERATURE(LOAD) differ."""
     found = re.match(r"\w+\s*\(([^)]*)\)", statement.text)
     return found.group(1).upper().replace(" ", "") if found else ""
 

@@ -6,7 +6,7 @@ all numbers change in proportion to the distance, as Nastran has it.
 Sections given by dimensions (PBARL, PBEAML) have area, moments, torsion constant, shear centre and
 shear factors of their shape. y points up and z to the right, as the figures of these cards are
 drawn. Round, rectangular and hexagonal sections have closed forms. All others are walls: area and
-moments are those of the union of the walls' rectangles, exactly; the rest follows from the walls'
+moments are those of the union of the walls' rectangles, exactly; all else follows from the walls'
 midlines (thin-walled theory, Vlasov 1961), open and closed walls alike. With s along the midlines,
 t the thickness, rho the distance of a wall's tangent from the pole:
 
@@ -216,8 +216,8 @@ class Midlines:
 def _pieces(wall: Wall, walls: Sequence[Wall]) -> Iterator[tuple[float, ...]]:
     """A wall's midline between joints and free ends: y, z of both ends, thickness.
 
-    Midlines meet where they cross within the walls' rectangles; what stands out by no more than
-    half of the other wall's thickness is the corner, not a wall.
+    Midlines meet where they cross within the walls' rectangles; a projection of at most half of
+    the other wall's thickness is the corner, not a wall.
     """
     joints = {
         other.across: (0.5 + NOTHING) * other.thickness

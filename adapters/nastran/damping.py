@@ -1,8 +1,8 @@
 """Damping in a Nastran deck: dampers, and loss factors (GE) of materials, laminates and springs.
 
-GE of a material damps all its elements but laminates', which have that of their own property; a
-PSHELL takes that of MID1. GE1 of a PBUSH alone goes for all its directions. PARAM,G is a loss
-factor of all stiffness beside these (MSC's Quick Reference Guide, PBUSH, PCOMP, PSHELL). W3 and W4
+GE of a material damps all its elements except laminates, which take that of their property; a
+PSHELL takes that of MID1. GE1 of a PBUSH without others holds for all its directions. PARAM,G is an
+additional loss factor of all stiffness (MSC's Quick Reference Guide, PBUSH, PCOMP, PSHELL). W3, W4
 are of transient solutions and change nothing here.
 """
 
@@ -82,7 +82,7 @@ def dampers(
         if item.by == "property" and shared is not None and own != shared.elements:
             raise ModelError(
                 f"{places[-1]}: GE of {card.name} {card.text(1)}: other properties use its "
-                "materials, which is not followed: give it materials of its own"
+                "materials, which is not supported: give it separate materials"
             )
     links = tuple(_Links(structure, known).all())
     return Dampers(links, losses_of(deck, parameters, groups, factors, places), uniform)

@@ -2,8 +2,8 @@
 
 A deck is file management and executive control up to CEND, case control up to BEGIN BULK, and
 bulk data up to ENDDATA; a file that has none of these is bulk data alone. `$` starts a comment.
-INCLUDE may stand anywhere; its file is looked for beside the file that names it, then beside the
-main deck.
+INCLUDE may be anywhere; its file is searched in the folder of the file that names it, then in that
+of the main deck.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SOLUTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class NastranDeck:
-    """A deck with its includes in place: lines as they stand, and the cards of its bulk data.
+    """A deck with its includes in place: its lines, and the cards of its bulk data.
 
     executive, case_control, bulk: positions in lines; CEND belongs to executive, and begin_bulk
     is the position of BEGIN BULK, None in a file of bulk data alone. sol: the solution sequence.
@@ -144,7 +144,7 @@ def _read_file(
 def _include(
     line: Line, following: Iterator[Line], main: Path, includes: Sequence[Include]
 ) -> Include:
-    """What an INCLUDE names; a name in quotes may go on in the following lines."""
+    """Return the file of an INCLUDE; a name in quotes may continue in the following lines."""
     taken, written = _file_name(line, following)
     holder = line.file
     # Windows decks part folders by backslashes, which elsewhere are letters of a name.

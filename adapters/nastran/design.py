@@ -1,14 +1,14 @@
 """Sensitivities by SOL 200: the cards that ask for them, and what its answer means.
 
 Every parameter becomes one design variable x with the value 1, and each number p of the deck that
-it scales a relation p = c x with c the number as it stands in the job's deck. So the design model
-says what the analysis model says, and for the parameter theta that the deck's own number p0 is
+it scales a relation p = c x with c the number in the job's deck. So the design model agrees with
+the analysis model, and for the parameter theta that the deck's own number p0 is
 multiplied with,
 
     d lambda / d theta = (d lambda / d x) / theta,    for p = c x = (p0 theta) x.
 
-A number that is not proportional to its parameter has a constant beside (p = c0 + c x), and one
-that an expression of parameters gives has the expression as an equation (DVPREL2, DEQATN).
+A number that is not proportional to its parameter has an additional constant (p = c0 + c x), and
+one that an expression of parameters gives has the expression as an equation (DVPREL2, DEQATN).
 
 Responses are the eigenvalues (EIGN: unlike FREQ it has a derivative where the frequency is zero)
 and, one a node, component and mode, the mass-normalised shapes (DISP with the mode's number).
@@ -50,7 +50,7 @@ from modetune.core.updating.sensitivity import ModeDerivatives
 
 #: The set of constraints that keep the responses.
 CONSTRAINTS = 1
-#: Bounds of the design variables, relative to where they stand; they only surround the 1.
+#: Bounds of the design variables, relative to their values; they only surround the 1.
 LOWER, UPPER = ".5", "2."
 #: A constraint is kept where it is above this, which all are.
 THRESHOLD = "-1.+10"
@@ -133,9 +133,9 @@ def _relations(
 def _tied(
     model: NastranModel, edited: Mapping[int, NastranCard], parameter: Parameter
 ) -> Iterator[tuple[int, ValuePlace, str]]:
-    """Numbers that a parameter moves: which of the model's, its place, and as it stands.
+    """Yield the numbers that a parameter moves: position in the model, place, and text.
 
-    Blank ones of a beam's stations stand beside that of end A.
+    Blank ones of a beam's stations follow that of end A.
     """
     places = model.places(parameter)
     named = {(place.card.lines, place.symbol) for place in places}
@@ -162,8 +162,8 @@ def _equations(
     parameters: Sequence[Parameter],
     n_before: int,
 ) -> list[str]:
-    """What ties numbers to the design variables that their expressions name; the others of them
-    stand at their values. n_before: relations and variables have lower numbers."""
+    """Return the relations of numbers with the design variables in their expressions; other
+    variables keep their values. n_before: relations and variables have lower numbers."""
     variables = {parameter.name: place for place, parameter in enumerate(parameters, start=1)}
     named = {item.name: item for item in model.parameters}
     lines: list[str] = []
@@ -205,7 +205,7 @@ def _following(card: NastranCard, place: ValuePlace, parameter: Parameter) -> di
     at_a = card.text(place.field)
     if name == place.symbol or not at_a:
         return {}
-    if card.name == "PBEAM" and name in OFFSETS:  # N1(A), N2(A), N1(B), N2(B) stand in a row
+    if card.name == "PBEAM" and name in OFFSETS:  # N1(A), N2(A), N1(B), N2(B) are consecutive
         return {} if card.text(place.field + 2) else {f"{name}(B)": _coefficient(at_a)}
     if card.name != "PBEAM":
         return {f"{name}(B)": _coefficient(at_a)}
@@ -226,7 +226,7 @@ def _following(card: NastranCard, place: ValuePlace, parameter: Parameter) -> di
 
 
 def _coefficient(text: str) -> str:
-    """A number as it stands in the deck, or as much of it as a large field holds."""
+    """Return a number as written in the deck, or as much of it as a large field holds."""
     return text if len(text) <= WIDTH else format_number(read_number(text), WIDTH)
 
 
@@ -274,7 +274,7 @@ TOKEN = re.compile(r"\d+\.\d*(?:E[+-]?\d+)?|\w+|\*\*|.")
 
 
 def in_fortran(expression: str, names: Mapping[str, str]) -> str:
-    """An expression in Nastran's words; names: what stands for each parameter."""
+    """Return an expression in Nastran's syntax; names: the name of each parameter there."""
     return _text(read(expression), names)
 
 
@@ -313,7 +313,7 @@ def _text(node: ast.expr, names: Mapping[str, str]) -> str:
     raise AssertionError(ast.dump(node))
 
 
-#: Response types of DSCMCOL that are told by that number alone.
+#: Response types of DSCMCOL that this number alone identifies.
 WEIGHT, MODE, DISPLACEMENT = 1, 4, 5
 #: Response types of DRESP1 cards in EDOM.
 EDOM_EIGENVALUE, EDOM_FREQUENCY = 4, 12
@@ -446,7 +446,7 @@ def _read_responses(table: Op2Table, types: dict[int, int]) -> tuple[DesignRespo
         if row[0] != at + 1:
             raise ValueError(f"DSCMCOL has response {row[0]} where {at + 1} belongs")
         responses.append(_response(row, types))
-    # Responses of DRESP2 cards, in a record of their own, take six words each.
+    # Responses of DRESP2 cards, in a separate record, take six words each.
     for record in table.records[1:]:
         rows = record.integers().reshape(-1, 6).tolist()
         responses += [DesignResponse("other DRESP2", row[1]) for row in rows]
@@ -473,7 +473,7 @@ def mode_derivatives(
 ) -> ModeDerivatives:
     """Derivatives with respect to the relative values of the analysis' parameters.
 
-    values: where the parameters stand (design.py tells why they divide). Rows of rigid modes are
+    values: of the parameters (design.py explains why they divide). Rows of rigid modes are
     rounding. Raises ValueError that names the first response or variable that is not there.
     """
     n_parameters = len(analysis.parameters)

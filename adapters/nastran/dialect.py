@@ -1,8 +1,8 @@
 """The programs that read Nastran decks, and what differs between them from outside.
 
-MSC Nastran and Simcenter (NX) Nastran share their command line but for the keyword of the
-threads; MYSTRAN takes the deck alone. None of the three tells its version without doing a run (and
-the first two not without a licence), so the program file stands for it.
+MSC Nastran and Simcenter (NX) Nastran share their command line except for the keyword of the
+threads; MYSTRAN takes the deck alone. None of the three prints its version without a run (and the
+first two not without a licence), so the program file identifies it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DialectName = Literal["msc", "nx", "mystran"]
 #: The deck of a job; what the program leaves has the same stem.
 JOB = "job"
 DECK = f"{JOB}.bdf"
-#: Says what version the Nastran program is, where its file alone should not stand for it.
+#: Environment variable with the version of the Nastran program, if its file does not identify it.
 VERSION_VARIABLE = "MODETUNE_NASTRAN_VERSION"
 #: Memory of a Nastran run in the program's own words (4gb); the site's own setting where not set.
 MEMORY_VARIABLE = "MODETUNE_NASTRAN_MEMORY"
@@ -77,7 +77,7 @@ class Dialect:
         return os.environ.get(self.variable) or self.program
 
     def version(self, program: str) -> str:
-        """What stands for the program's version. Raises SolverMissing."""
+        """Return what identifies the program's version. Raises SolverMissing."""
         found = shutil.which(program)
         if found is None:
             raise SolverMissing(

@@ -7,8 +7,8 @@ follow a number. All programs print seven digits or so: an OP2 file has the same
 Of several subcases the first that has the table is read. A run that broke off still has its
 messages: what it left half printed is given as if it were not there, and `ended` is False.
 
-A fatal message stands alone on its line, `*** USER FATAL MESSAGE 2025 (IFPDRV)` or
-`^^^ USER FATAL ...` from a DMAP sequence, and goes on until a blank line. MYSTRAN writes
+A fatal message is alone on its line, `*** USER FATAL MESSAGE 2025 (IFPDRV)` or
+`^^^ USER FATAL ...` from a DMAP sequence, and continues until a blank line. MYSTRAN writes
 `*ERROR  1308: ...`. Echoed decks may quote such a line, but have a line count before it.
 
 Each table gets all lines and takes those that are its own. A table that cannot be right keeps the
@@ -176,7 +176,7 @@ class _Points:
         except ValueError:
             node, numbers = 0, []
         if kind == "S" and 1 <= len(numbers) <= 6:
-            # Scalar points that follow each other stand six in a row, under the first one's number.
+            # Consecutive scalar points are six in a row, under the first one's number.
             for offset, value in enumerate(numbers):
                 self._add(node + offset, True, [value, 0.0, 0.0, 0.0, 0.0, 0.0])
         elif node > 0 and len(numbers) == 6 and (mystran or kind == "G"):
@@ -394,7 +394,7 @@ FATAL = re.compile(
     r"|\*ERROR\s+\d+\s*:|\^{3}\s.*\bFATAL\b)"
 )
 NEXT_MESSAGE = re.compile(r"^[01+ ]?\s{0,12}(?:\*{3} |\^{3} |\*ERROR|\*WARNING|\*INFORMATION)")
-#: A message is a few lines; what goes on longer is a table that follows it.
+#: A message is a few lines; anything longer is a table that follows it.
 LONGEST = 20
 
 CARD = re.compile(

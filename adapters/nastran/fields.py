@@ -6,7 +6,7 @@ four in columns of 16 (large field, a `*` in the first field), or as many betwee
 is blank or starts with `+` or `*` continues another: the one before it, or the one whose last field
 carries the same tag. Columns 73-80 hold nothing else. Where tags disagree or are missing on one
 side, the line before is continued, since many programs write sequence numbers there. A line of `=`
-repeats the card above it (`==` the rest of its fields) with increments `*(2)`, and `=(9)` does so
+repeats the card above it (`==` its remaining fields) with increments `*(2)`, and `=(9)` does so
 nine times more.
 
 What is no card is kept as one, under the name that it has in the deck or `+` for a line that
@@ -28,7 +28,7 @@ from modetune.adapters.deck_files import Line
 from modetune.core.errors import ModelError
 
 NAME = re.compile(r"[A-Z][A-Z0-9_]{0,7}")
-#: What stands for the name of a card in a line that repeats one: once more, or so many times.
+#: The name field of a line that repeats a card: once, or several times.
 AGAIN = re.compile(r"=|=\(?(\d+)\)?")
 #: A field of such a line that adds to the number above.
 INCREMENT = re.compile(r"\*\(?([^()]+)\)?")
@@ -48,7 +48,7 @@ TAG = 72
 
 @dataclass(frozen=True, slots=True)
 class CardField:
-    """One field of a card as it stands in the deck.
+    """One field of a card, as written in the deck.
 
     line: position in the deck's lines. start, stop: the columns of the line's text, blanks of the
     field included. width: 8, 16, or 0 in free field. text: without blanks round it. lead: what must
@@ -179,7 +179,7 @@ def _sum(text: str, increment: str) -> str:
 def _following(rows: Sequence[CardRow]) -> dict[int, int]:
     """Which row continues which, by index."""
     tags = {row.next_tag: place for place, row in enumerate(rows) if row.next_tag}
-    # First the lines whose tag the line above has: the same tags may stand in many places.
+    # First the lines whose tag the line above has: the same tags may occur in many places.
     following = {
         place - 1: place
         for place, row in enumerate(rows)
@@ -190,7 +190,7 @@ def _following(rows: Sequence[CardRow]) -> dict[int, int]:
         if row.name or place in done:
             continue
         before = tags.get(row.tag, place - 1) if row.tag else place - 1
-        if before in following:  # a tag that stands twice
+        if before in following:  # a tag that occurs twice
             before = place - 1
         if before >= 0 and before not in following:
             following[before] = place
@@ -231,7 +231,7 @@ def _tag(text: str) -> str:
 
 
 def _is_free(data: str) -> bool:
-    """Whether a line is in free field; an equation's commas stand within its text."""
+    """Return whether a line is in free field; an equation's commas are within its text."""
     if "," in data[:FREE]:
         return True
     if "," not in data or data.startswith(" ") or data.upper().startswith("DEQATN"):
@@ -241,7 +241,7 @@ def _is_free(data: str) -> bool:
 
 
 def _free_spans(data: str) -> list[tuple[int, int]]:
-    """Fields between commas; blanks within one part it further, but for a name that ends soon."""
+    """Return the fields between commas; blanks split them further, except within a name."""
     spans, start = [], 0
     for piece in data.split(","):
         whole = not start and len(piece) < FREE
@@ -267,7 +267,7 @@ def _fixed_spans(data: str) -> list[tuple[int, int]]:
 
 
 def blank_field(lines: Sequence[Line], card: NastranCard, number: int) -> CardField | None:
-    """Where a blank field of a card stands; None in a line that the card does not have."""
+    """Return the place of a blank field of a card; None in a line that the card does not have."""
     first = 1
     for position in card.lines:
         count = len(_row(lines[position], position).data)
@@ -342,7 +342,7 @@ def changed_texts(lines: Sequence[Line], values: Mapping[CardField, float | int]
 
 
 def _number(value: float | int, width: int) -> str:
-    """An integer or a real number in at most so many characters. Raises ValueError."""
+    """Return an integer or a real number in at most `width` characters. Raises ValueError."""
     if not isinstance(value, int):
         return format_number(value, width)
     if len(str(value)) > width:
@@ -373,7 +373,7 @@ def _fixed(field: CardField, old: str, value: float | int) -> str:
 
 #: Digits with or without a point, then an exponent with or without its letter.
 NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]([+-]?\d+)|([+-]\d+))?", re.IGNORECASE)
-#: Beyond this many digits a double has nothing more to tell.
+#: Digits beyond which a double has no information.
 DIGITS = 17
 
 

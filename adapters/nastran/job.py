@@ -31,7 +31,7 @@ from modetune.core.parameters import Values
 
 #: Parameters at the values of the deck.
 AS_IT_IS: Values = {}
-#: SET numbers of the nodes and of the elements asked for; no user's SET stays beside them.
+#: SET numbers of the wanted nodes and elements; the user's SETs are removed.
 NODES, ELEMENTS = 1, 2
 #: Modes of a job for matrices, which MYSTRAN has before it looks for any. To find one alone of the
 #: six rigid ones of a free structure takes it a hundred times as long as to find two.

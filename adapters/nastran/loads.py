@@ -1,7 +1,7 @@
 """The load cases of a Nastran deck: forces, moments, pressures and gravity of a load set.
 
 Pressure goes to the grid points by the shape functions of the loaded face. GRAV accelerates all
-mass, of which a lumped mass matrix tells the forces.
+mass, with forces by a lumped mass matrix.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from modetune.core.mesh import CORNERS, CellKind, Mesh
 from modetune.core.modes import Floats
 from modetune.core.updating.static_model import Force, LoadCase
 
-#: Cards whose second field is a load set and which no forces at grid points stand for here.
+#: Cards whose second field is a load set, and which are not converted to forces at grid points.
 OTHER_LOADS = (
     "FORCE1", "FORCE2", "MOMENT1", "MOMENT2", "PLOAD1", "PLOADX1", "ACCEL", "ACCEL1", "RFORCE",
     "SLOAD", "SPCD", "TEMP", "TEMPD", "DEFORM",

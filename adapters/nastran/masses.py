@@ -22,7 +22,7 @@ CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CPYRAM": 5, "CQUAD8": 4, "CTRI
 SOLIDS = {"CHEXA": "CHEXA8", "CPENTA": "CPENTA6", "CTETRA": "CTETRA4", "CPYRAM": "C3D8"}
 #: A pyramid is a brick whose upper face is one point.
 PYRAMID = (0, 1, 2, 3, 4, 4, 4, 4)
-#: Digits of an offset, as a share of the largest, that tell places apart.
+#: Digits of an offset, relative to the largest, by which places differ.
 DIGITS = 9
 
 

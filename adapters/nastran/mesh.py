@@ -26,7 +26,7 @@ def local_axes(frame: Any, place: Floats) -> Floats:
 
     frame: a cross-referenced CORD card, or None for the basic system. In a cylindrical or
     spherical one the axes are those of the place's own radius and angles; on its z axis, where
-    the radius has no direction, the system's x axis stands for it.
+    the radius has no direction, the system's x axis replaces it.
     """
     if frame is None:
         return np.eye(3)
@@ -72,7 +72,7 @@ LINKS = frozenset((
 ))  # fmt: skip
 #: Masses at one grid point, or between two.
 MASSES = frozenset(("CONM1", "CONM2", "CMASS1", "CMASS2"))
-#: Where VTK's nodes stand in Nastran's, for the shapes in which the two differ.
+#: Positions of VTK's nodes in Nastran's order, for the shapes in which the two differ.
 ORDERS: dict[CellKind, tuple[int, ...]] = {
     "wedge15": (*range(9), 12, 13, 14, 9, 10, 11),
     "hexahedron20": (*range(12), 16, 17, 18, 19, 12, 13, 14, 15),

@@ -56,7 +56,7 @@ logger = logging.getLogger(__name__)
 WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 #: Cards that reduce a model: what is left of its matrices is linear in nothing.
 REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
-#: pyNastran's name of the modulus that tells a material's size, by its card.
+#: pyNastran's name of the modulus that characterises a material, by its card.
 YOUNG = {"MAT1": "e", "MAT8": "e11"}
 
 
@@ -110,12 +110,12 @@ class NastranModel(Deck):
         return self._mesh
 
     def masses(self) -> MassKind:
-        """By PARAM,COUPMASS, of the case control if it stands there; lumped where nothing does."""
+        """By PARAM,COUPMASS, first that of the case control; lumped without it."""
         said = self._asked("COUPMASS")
         return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
 
     def _asked(self, name: str) -> str:
-        """A parameter of the deck, of the case control if it stands there; empty without."""
+        """Return a parameter of the deck, first that of the case control; empty without it."""
         asked = dict(read_case_control(self.deck).parameters)
         for card in self.deck.named("PARAM"):
             asked.setdefault(card.text(1), card.text(2))
@@ -178,7 +178,7 @@ class NastranModel(Deck):
         return found
 
     def places(self, parameter: Parameter) -> list[ValuePlace]:
-        """Where the parameter stands. Raises ModelError with the first reason why it does not."""
+        """Return the parameter's places. Raises ModelError with the first reason if it has none."""
         try:
             return find_places(self.structure, parameter)
         except ModelError as error:
@@ -223,7 +223,7 @@ class NastranModel(Deck):
         for parameter, value in pairs:
             for number, there in moved_numbers(parameter, self.numbers(parameter), value):
                 if there != number.value:
-                    # A group's stiffness is scaled beside what others make of it.
+                    # A group's stiffness is scaled in addition to changes by others.
                     before = values.get(number.place, number.value)
                     values[number.place] = there * (before / number.value if number.value else 1.0)
         return changed_texts(self.deck.lines, values)
@@ -316,7 +316,7 @@ class NastranModel(Deck):
 
 
 def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> NastranModel:
-    """What a deck's cards mean, with cards of their own for what parameters name.
+    """Return the model of a deck's cards, with separate cards for the elements of parameters.
 
     Raises ModelError where it is no Nastran deck, or where a card cannot be copied.
     """
@@ -334,7 +334,7 @@ def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> Nas
 def check_left_out(deck: NastranDeck, bulk: Bulk, objections: Sequence[Objection]) -> None:
     """Raise ModelError for all cards that count for modes and are not understood.
 
-    For jobs on another solver than Nastran; what these leave out is told.
+    For jobs on another solver than Nastran; a warning names what these leave out.
     """
     case = read_case_control(deck)
     refuse(

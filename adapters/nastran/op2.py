@@ -5,7 +5,7 @@ one word are marks. A table is its name (mark 2), a trailer of seven words, and 
 each opened by the marks -k, 1 and a type (0 table, else matrix column) and followed by as many
 pieces as its length needs, each under a mark with the piece's number of words. Mark 0 in place of
 a piece ends the table; mark 0 in place of a name ends the file. Words have 4 or 8 bytes: the very
-first record is one word, so its length tells.
+first record is one word, so its length shows which.
 
 Only tables that are asked for are held in memory; of all others the lengths are walked.
 
@@ -23,7 +23,7 @@ OGPWG   -                                          M0, S, masses with centres, I
 ======  =========================================  ==========================================
 
 The word after the eigenvalue is cycles in one program and radians in another, so no frequency is
-read: eigenvalues alone are. Shapes stand in the file's own frame, the displacement coordinate
+read: eigenvalues alone are. Shapes are in the file's own frame, the displacement coordinate
 system (CD) of each point. Of several subcases the first that has modes is read.
 
 Source: the DMAP data block descriptions of the programs' programmers' guides; checked against
@@ -54,7 +54,7 @@ from modetune.core.modes import Floats, Integers
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One record of a table: its pieces, as they stand in the file, and the width of a word."""
+    """One record of a table: its pieces in the file's order, and the width of a word."""
 
     pieces: tuple[bytes, ...]
     word: int
@@ -306,7 +306,7 @@ def _agree(own: dict[int, float], listed: dict[int, Floats]) -> None:
         ):
             raise ValueError(
                 f"mode {mode} has the eigenvalue {listed[mode][2]:g} in LAMA and {eigenvalue:g} "
-                "beside its eigenvector"
+                "with its eigenvector"
             )
 
 
@@ -321,7 +321,7 @@ def _lama(table: Op2Table) -> Floats:
     rows = rows.reshape(-1, 7)
     rows[:, 0] = record.integers().reshape(-1, 7)[:, 0]
     stiffness = rows[:, 2] * rows[:, 5]
-    # Single precision; in one program's files radians stand where cycles do in another's.
+    # Single precision; one program writes radians in the place of another's cycles.
     radians = np.abs(rows[:, 3:5]).max(axis=1)
     if not (
         np.allclose(radians**2, np.abs(rows[:, 2]), rtol=1e-4, atol=1e-30)
@@ -364,7 +364,7 @@ def _shapes(tables: list[Op2Table]) -> list[GridShape]:
         if place == wanted:
             shape = _shape(table.name, head, data)
             if shape.mode in found:
-                raise ValueError(f"mode {shape.mode} stands twice in its table {table.name}")
+                raise ValueError(f"mode {shape.mode} occurs twice in its table {table.name}")
             found[shape.mode] = shape
     return list(found.values())
 
@@ -411,7 +411,7 @@ def _energies(tables: list[Op2Table]) -> list[ElementEnergies]:
         if numbers.size % 4:
             raise ValueError(f"its table {table.name} has {numbers.size} words, 4 belong to a row")
         elements = numbers.reshape(-1, 4)[:, 0] // 10
-        real = elements < 100_000_000  # this number stands for the sum of an element type
+        real = elements < 100_000_000  # this number is the sum of an element type
         found.append(
             ElementEnergies(
                 mode=int(words[4]),

@@ -47,7 +47,7 @@ class ValuePlace:
     along: bool = False
 
 
-#: Thicknesses that stand on an element beside its property's: first and last field, and the flag
+#: Thicknesses of an element that replace its property's: first and last field, and the flag
 #: that makes them fractions of the property's (1) instead.
 OWN_THICKNESS = {
     "CQUAD4": (11, 14, 10), "CQUADR": (11, 14, 10), "CQUAD8": (11, 14, 17),
@@ -155,7 +155,7 @@ def _of_property(
             f"{where}: end B of PBEAM {ident} is blank, so that it follows end A: write it out"
         )
     if card.name == "PBAR" and quantity == "shear_factor" and deck.number(card, 19):
-        raise ModelError(f"{where}: PBAR {ident} has I12, beside which K1 and K2 have no effect")
+        raise ModelError(f"{where}: PBAR {ident} has I12, with which K1 and K2 have no effect")
     if law.needs and card.text(law.needs[0]) in ("", "0", "-1"):
         raise ModelError(
             f"{where}: {card.name} {ident} has no {law.needs[1]}, without which {quantity} has no "
@@ -199,8 +199,8 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]
                     "can be updated"
                 )
             raise ModelError(
-                f"{structure.deck.where(card)}: {card.name} {number} has no mass of its own to "
-                "update; CONM2, CMASS2 and CMASS4 have"
+                f"{structure.deck.where(card)}: {card.name} {number} contains no mass to update; "
+                "CONM2, CMASS2 and CMASS4 do"
             )
         elif card.name == "CONROD" and quantity in OF_MATERIALS:
             materials[structure.bulk.elements[number].mid] = None

@@ -28,7 +28,7 @@ UNIT_MASS = 1e-5
 class NastranModes:
     """What a file says of normal modes, in the deck's own units and the file's normalisation.
 
-    eigenvalues, generalized_mass: (n_modes,), (rad/s)^2, the latter NaN or empty where not told.
+    eigenvalues, generalized_mass: (n_modes,), (rad/s)^2, the latter NaN or empty if unknown.
     mode_numbers: (n_shapes,), places of the shapes' eigenvalues, from 1; nodes, components:
     (n_dof,), components 1..6; mode_shapes: (n_dof, n_shapes), sorted by node, in each point's
     output frame (CD); n_dof is 0 where no shapes were asked for.
@@ -66,7 +66,7 @@ class GridShape:
 class ElementEnergies:
     """Strain energies of one element type in one mode; elements and energies are (n_el,).
 
-    total: of all elements of the problem, NaN where not told.
+    total: of all elements of the problem, NaN if unknown.
     """
 
     mode: int
@@ -124,14 +124,14 @@ def energy_table(
         if not (np.isfinite(table.energies).all() and np.isfinite(table.total)):
             raise ValueError(f"a strain energy of mode {table.mode} is not a finite number")
         rows, column = np.searchsorted(elements, table.elements), place[table.mode]
-        # Within one type an element stands once; a second row repeats the first.
+        # Within one type an element occurs once; a second row repeats the first.
         energies[rows, column] = np.nan_to_num(energies[rows, column]) + table.energies
         totals[column] = table.total
     return elements, energies, totals
 
 
 def unit_modes(found: NastranModes) -> ModeSet:
-    """The modes of a file at all of its nodes, of unit modal mass where it tells modal masses.
+    """Return the modes of a file at all of its nodes, of unit modal mass if it has modal masses.
 
     Raises ValueError where a mode has no shape.
     """
@@ -150,7 +150,7 @@ def unit_modes(found: NastranModes) -> ModeSet:
 
 
 def unit_scale(generalized_mass: Floats) -> Floats:
-    """Factors that make the shapes mass-normalised, (n_modes,); 1 where the masses are not told."""
+    """Return factors that mass-normalise the shapes, (n_modes,); 1 if the masses are unknown."""
     known = np.where(np.isnan(generalized_mass), 1.0, generalized_mass)
     if not (known > 0.0).all():
         mode = int(np.argmin(known)) + 1

@@ -21,8 +21,8 @@ from scipy import special
 
 from modetune.core.modes import Floats
 
-#: A shell without transverse shear strain (MID3 or G1Z, G2Z blank) gets so many times the shear
-#: stiffness in its plane: enough to hinder it, little enough not to hide the bending.
+#: A shell without transverse shear strain (MID3 or G1Z, G2Z blank) gets this multiple of its
+#: in-plane shear stiffness: enough to suppress the strain, too little to hide the bending.
 RIGID_SHEAR = 100.0
 #: Blank TS/T of a PSHELL.
 TS_T = 5.0 / 6.0

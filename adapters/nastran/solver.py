@@ -173,7 +173,7 @@ class NastranProgram:
 
 
 def _place(fatal: Iterable[FatalMessage], edited: EditedNastran) -> str:
-    """Where the user's deck has what messages speak of, the file alone where none tells.
+    """Return the place in the user's deck that the messages name, or the file.
 
     A message may quote a card (in fields of eight whatever the deck's format), or name a
     card, or a number of one.
@@ -230,5 +230,5 @@ def _solver(deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect) -> 
             len(model.objections),
             model.objections[0].text,
         )
-    job_text(model, {}, ModalAnalysis(1, ()), dialect)  # what no job can carry is told at once
+    job_text(model, {}, ModalAnalysis(1, ()), dialect)  # what no job can contain is refused at once
     return Solver(model, NastranProgram(dialect, dialect.program_name()))

@@ -1,4 +1,4 @@
-"""Materials and properties of their own for the elements that parameters name.
+"""Separate materials and properties for the elements that parameters name.
 
 A parameter of a material that names properties or elements, and one of a section that names
 elements, acts on these alone. Where others share the card, the deck gets a copy of it with a free
@@ -60,7 +60,7 @@ class _Edits:
         if card.name in BY_LINES or len(idents_of(card.name)) > 1:
             raise ModelError(
                 f"{where}: {card.name} {card.text(1)} is shared with others and cannot be copied; "
-                f"give {whom} a {card.name} of their own"
+                f"give {whom} a separate {card.name}"
             )
         texts = [card.text(field) for field in range(1, len(card.fields))]
         for field, value in {1: number, **fields}.items():
@@ -79,7 +79,7 @@ class _Edits:
 def split_properties(
     structure: Structure, parameters: Sequence[Parameter]
 ) -> tuple[NastranDeck, Copies] | None:
-    """The deck with properties of their own for elements that parameters name, None as it is.
+    """Return the deck with separate properties for elements of parameters, None if unchanged.
 
     Raises ModelError where a card cannot be copied.
     """
@@ -136,7 +136,7 @@ def _rename(edits: _Edits, kind: str, owner: int, old: int, new: int) -> None:
 
 
 def _selections(structure: Structure, parameters: Sequence[Parameter]) -> list[Selection]:
-    """What elements parameters name; those that name what is not there are told later on."""
+    """Return the elements that parameters name; unknown names are refused later."""
     found = []
     for parameter in parameters:
         material = parameter.quantity in OF_MATERIALS
@@ -159,7 +159,7 @@ def _refuse_dependent(structure: Structure, ident: int, members: Sequence[tuple[
         if card.name.startswith(BESIDE) and card.text(1) == str(ident):
             raise ModelError(
                 f"{structure.deck.where(card)}: {card.name} {ident} belongs to a material that is "
-                f"shared with others; give {_users(structure, members)} a material of their own"
+                f"shared with others; give {_users(structure, members)} a separate material"
             )
 
 

@@ -24,7 +24,7 @@ MATERIALS = ("mid", "mid1", "mid2", "mid3", "mid4")
 class Copies:
     """Cards that were added for elements of parameters (`splitting.py`).
 
-    properties, materials: numbers of the copies of each; said: what was done, a sentence each.
+    properties, materials: numbers of the copies of each; said: a sentence for each change.
     """
 
     properties: Mapping[int, Sequence[int]] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Structure:
         found: dict[int, set[int]] = {}
         for number, element in self.bulk.elements.items():
             property_id = getattr(element, "pid", None)
-            # Elements without a property have none, 0, or a negative stand-in.
+            # Elements without a property have none, 0, or a negative number.
             if isinstance(property_id, int) and property_id in self.bulk.properties:
                 found.setdefault(property_id, set()).add(number)
         return {number: frozenset(elements) for number, elements in found.items()}

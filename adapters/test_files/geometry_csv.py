@@ -57,7 +57,7 @@ def geometry_of(table: FileTable) -> TestGeometry:
     found = [heading(field) for field in rows[0].fields] if rows else []
     if tuple(name for name, _ in found) not in (HEADER, HEADER + DIRECTIONS):
         raise CampaignError(
-            f"{where}: the header must be `{','.join(HEADER)}`, or go on with "
+            f"{where}: the header must be `{','.join(HEADER)}`, or continue with "
             f"`{','.join(DIRECTIONS)}`"
         )
     metres = _unit(where, [unit for _, unit in found[1:4]], metres, problems)
@@ -136,7 +136,7 @@ def _add_point(
     if not numbers:
         return
     if int(name) in points:
-        problems.append(f"{row.where}: node {name} stands in {points[int(name)][0]} already")
+        problems.append(f"{row.where}: node {name} is in {points[int(name)][0]} already")
     frame = np.array(numbers[3:] or np.eye(3).ravel()).reshape(3, 3)
     if np.abs(frame).max() > 2.0 or np.abs(frame @ frame.T - np.eye(3)).max() > _RIGHT:
         problems.append(

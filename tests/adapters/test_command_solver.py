@@ -230,7 +230,7 @@ def test_parameters_and_placeholders_must_meet(
     deck = shaft(tmp_path).deck
     said = deck.problems((*PARAMETERS, number("k_gear")))
     assert len(said) == 1
-    assert "shaft.txt: k_gear stands nowhere; write a placeholder" in said[0]
+    assert "shaft.txt: k_gear does not occur; write a placeholder" in said[0]
     assert "(there are: k_engine, k_shaft, propeller)" in said[0]
     assert deck.problems(PARAMETERS) == []
     with caplog.at_level("WARNING"):

@@ -115,7 +115,7 @@ def test_line_ends_of_another_system_are_kept(tmp_path: Path) -> None:
         ("masses: {m1: 2.0, m2: 1e0}", "masses: [2.0]", "`masses` must be a mapping of names"),
         ("masses: {m1: 2.0, m2: 1e0}", "masses: {}", "a mass is needed"),
         ("springs:", "strings:", "unknown key `strings`"),
-        ("m1: 2.0", "m1: 2.0, m1: 3.0", "the key `m1` stands twice"),
+        ("m1: 2.0", "m1: 2.0, m1: 3.0", "the key `m1` occurs twice"),
         ("masses: {", "masses: {{", "not readable as YAML"),
         ("m1: 2.0", "m1: !!python/object:os.system x", "not readable as YAML"),
     ],
@@ -210,7 +210,7 @@ def test_a_bad_index_is_told_with_its_place(index: Path, old: str, new: str, exp
     ("names", "expected"),
     [
         ("1.x\n2.x\n", "names 2 unknowns for matrices of 3"),
-        ("1.x\n1.1\n2.x\n", r"line 2: 1\.1 stands twice"),
+        ("1.x\n1.1\n2.x\n", r"line 2: 1\.1 occurs twice"),
         ("1.x\n2.q\n3.x\n", r"line 2: '2\.q' is not an unknown"),
         ("1\n2.x\n3.x\n", "line 1: '1' is not an unknown"),
     ],

@@ -66,5 +66,5 @@ def test_uneven_lines_are_refused() -> None:
 @pytest.mark.parametrize("order", [1, 50])
 def test_an_order_that_does_not_fit_the_lines_is_refused_with_the_range(order: int) -> None:
     lines = np.linspace(5.0, 130.0, 60)
-    with pytest.raises(CampaignError, match="does not fit 60 lines in the band: 2 to 29"):
+    with pytest.raises(CampaignError, match="does not fit 60 lines in the band: choose 2 to 29"):
         lscf_poles(lines, accelerances(lines), order)

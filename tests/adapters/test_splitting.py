@@ -296,5 +296,5 @@ def test_bounds_that_make_a_thickness_negative_name_the_line(tmp_path: Path) -> 
     (said,) = model.problems((thick,))
     assert said == (
         f"parameter t: {tmp_path / 'a.dat'}, line 22: parameter t: thickness would be -0.001, it "
-        "is above zero; mend its bounds"
+        "is above zero; correct its bounds"
     )

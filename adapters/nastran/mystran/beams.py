@@ -6,7 +6,7 @@ side: one with an area alone, offset to the neutral axis, and one without an are
 shear centres. MYSTRAN moves the mass of a bar with its offset, but lumps it without its inertia
 about the axis, which MSC Nastran gives a CBEAM and not a CBAR; a CONM2 at each grid point adds it.
 
-A tapered beam is cut into uniform pieces, with grid points of their own.
+A tapered beam is cut into uniform pieces with additional grid points.
 
 MYSTRAN 18 reads the offset and the inertia of a CONM2 right in the grid point's output frame alone,
 and takes the products of the offset's components with the wrong sign.
@@ -46,7 +46,7 @@ BODY = (5, 6, 7, 9, 10, 11, 12, 13, 14)
 PIECES, FEWEST, MOST = 8.0, 2, 32
 #: What a bar without an area needs of one for its shear factors to have something to scale.
 SLIVER = 1e-6
-#: Lengths and moments below this share of their own are rounding.
+#: Share of their own size below which lengths and moments are rounding.
 NOTHING = 1e-9
 
 
@@ -98,7 +98,7 @@ class BeamCards:
         return list(self._beam(element, where))
 
     def rest(self) -> Iterator[Card]:
-        """Cards that no card of the deck stands for: beams' inertia about their axes."""
+        """Yield cards without one in the deck: beams' inertia about their axes."""
         for node, inertia in self._inertias.items():
             place = self._places[node]
             yield self._body(PointMass(int(self._new_number()), node, 0.0, place, inertia))
@@ -240,7 +240,7 @@ def _parts(
 def _principal(
     section: CrossSection, station: Station
 ) -> tuple[Station, tuple[float, float], Floats]:
-    """A section in its principal axes, for MYSTRAN has no shear strain beside an I12.
+    """Return a section in its principal axes, because MYSTRAN has no shear strain with an I12.
 
     Returns it, its shear factors and its y axis (2,); the factors' own product is left out.
     """

@@ -38,7 +38,7 @@ TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
 PAIR_OF_LINES = 8
 #: Cards of which MYSTRAN reads the last odd line past the places that it has for it.
 COUNTED = ("MPC", "RBE3")
-#: Direction cosines that tell output frames apart: the digits of a card's coordinates.
+#: Difference of direction cosines by which output frames differ: the digits of a card.
 SAME_FRAME = 1e-6
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
 EIGRL_ID, EIGRL_SHIFT = 1, 7
@@ -67,8 +67,8 @@ def mystran_cards(
 
     bulk: gives pyNastran's model of the same deck, for cards of beams, shells, solids and bodies.
     n_modes: how many it must be able to find. lumped: whether the deck asks for lumped masses.
-    Blank fields that a GRDSET or BAROR fills are filled. Raises ModelError for all cards it cannot
-    take, with the lines they stand in.
+    Blank fields that a GRDSET or BAROR fills are filled. Raises ModelError for all unsupported
+    cards, with their lines.
     """
     scalars, unused = Scalars(deck), unused_properties(deck)
     cards: list[Card] = list(scalars.grids())

@@ -1,11 +1,11 @@
 """Scalar springs, masses and points in terms of cards that MYSTRAN has right.
 
-MYSTRAN 18 loses masses where scalar points stand beside grid points, takes one CMASS of a grid
+MYSTRAN 18 loses masses in models with scalar and grid points, takes one CMASS of a grid
 point alone and none of its rotations, and no spring to ground. So a scalar point becomes a grid
 point whose component 1 alone is free; ground is a grid point that is held; and a scalar mass is a
-CONM2 at a grid point of its own that shares one component with the user's. Its Lanczos solver
-finds fewer modes than a small model has, so that gets springs with masses of their own, tied to
-nothing, far above its modes, which are taken off again.
+CONM2 at an additional grid point that shares one component with the user's. Its Lanczos solver
+finds fewer modes than a small model has, so such a model gets springs with masses, tied to nothing,
+far above its modes, whose modes are removed from the results.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SPARE_MASS = 1e-12
 
 
 class Scalars:
-    """The scalar parts of a deck, and numbers for cards beside those of the deck."""
+    """The scalar parts of a deck, and numbers for additional cards."""
 
     def __init__(self, deck: NastranDeck) -> None:
         self._grids = {card.text(1): card for card in deck.named("GRID")}
@@ -110,7 +110,7 @@ class Scalars:
         ]
 
     def bush(self, card: NastranCard, fields: list[str]) -> list[Card]:
-        """A bush, and the mass of its property by halves at its ends; of a PBUSH the rest."""
+        """Return a bush with half its property's mass at each end, or a PBUSH without mass."""
         if card.name == "PBUSH":
             rows = range(1, len(fields), 8)
             kept = [fields[row : row + 8] for row in rows if fields[row] != "M"]
@@ -151,7 +151,7 @@ class Scalars:
         return [(card.name, fields)]
 
     def spare(self, n_modes: int) -> Iterator[Card]:
-        """Spare unknowns for a model that may have too few for so many modes, else none."""
+        """Yield spare unknowns for a model that may have too few for `n_modes` modes."""
         if len(self._grids) + len(self.points) > MOST_GRIDS:
             return
         stiffness = format_number(SPARE_EIGENVALUE * SPARE_MASS, 16)

@@ -62,7 +62,7 @@ class SolidCards:
         return plain & solid_densities(self._bulk(), plain).keys()
 
     def cards(self, card: NastranCard) -> list[Card]:
-        """A PSOLID as MYSTRAN reads it, with a material of its own where its mass is lumped."""
+        """Return a PSOLID as MYSTRAN reads it, with a separate material if its mass is lumped."""
         fields = self._property(filled(card, None), self._tens.get(card.text(1), set()))
         if int(card.text(1)) not in self._lumped:
             return [("PSOLID", fields)]

@@ -337,7 +337,7 @@ def _doubles(block: DatasetBlock) -> bytes:
     if form not in (0, 2):  # unnamed: what every machine has had since
         raise ValueError("holds binary numbers that are not those of IEEE 754")
     if order not in (1, 2):
-        raise ValueError(f"does not tell the order of its bytes (1 or 2, it has {order})")
+        raise ValueError(f"does not state the order of its bytes (1 or 2, it has {order})")
     width = WIDTHS.get(kind)
     if width is None:
         raise ValueError(f"has ordinates of the unknown type {kind}")

@@ -395,8 +395,8 @@ def _even(frequencies_hz: Floats) -> bool:
     rounded = np.array([float(f"{value:.5e}") for value in frequencies_hz])
     if (np.diff(rounded) <= 0.0).any():
         raise ModesError(
-            "the frequencies of the response functions lie closer than the 6 digits of a universal "
-            "file can tell; write HDF5 instead"
+            "the frequencies of the response functions are closer than the 6 digits of a universal "
+            "file; write HDF5 instead"
         )
     return False
 

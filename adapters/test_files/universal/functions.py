@@ -253,7 +253,7 @@ def _factor(function: Function, kind: Response, units: Units | None) -> tuple[fl
         return factor, _converted(factor, f"{path}: dataset 164")
     return 1.0, (
         f"doubtful: {path}: {_COUNT} response functions are taken as SI (m, s, N): neither a "
-        "dataset 164 nor their unit labels tell their units"
+        "dataset 164 nor their unit labels state their units"
     )
 
 
@@ -371,6 +371,6 @@ def histories(contents: Sequence[Content], path: Path, notes: list[str]) -> list
         )  # fmt: skip
     if unknown:
         notes.append(
-            f"doubtful: {path}: {unknown} time histories are taken as SI: their labels tell no unit"
+            f"doubtful: {path}: {unknown} time histories are taken as SI: their labels state none"
         )
     return [recording(run) for run in runs]

@@ -204,7 +204,7 @@ def _numbers(groups: Sequence[Sequence[DatasetShape]], notes: list[str]) -> tupl
     numbers = tuple(group[0].number for group in groups)
     if len(set(numbers)) == len(numbers) and min(numbers) > 0:
         return numbers
-    notes.append("the files do not number the modes, or use a number twice: they are numbered anew")
+    notes.append("the files do not number the modes, or use a number twice: they are renumbered")
     return tuple(range(1, len(groups) + 1))
 
 

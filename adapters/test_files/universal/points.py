@@ -63,8 +63,8 @@ def geometry(files: Sequence[UniversalFile], notes: list[str]) -> TestGeometry |
     turned = int((np.abs(frames - np.eye(3)).max(axis=(1, 2)) > 1e-9).sum())
     if turned:
         notes.append(
-            f"{turned} of {nodes.size} points have axes of their own: their sensors' directions "
-            "are turned, the shapes stay as measured"
+            f"{turned} of {nodes.size} points have local axes: their sensors' directions are "
+            "rotated, and the shapes stay as measured"
         )
     return TestGeometry(
         nodes=nodes,

@@ -137,7 +137,7 @@ def test_a_deck_whose_steps_have_no_frequency_is_refused_with_its_line(tmp_path:
 def test_a_frequency_card_outside_a_step_is_refused_with_its_line(tmp_path: Path) -> None:
     model = model_of(tmp_path, MODEL + "*FREQUENCY\n5\n*STEP\n*END STEP\n")
     line = MODEL.count("\n") + 1
-    message = f"{tmp_path / 'main.inp'}, line {line}: *FREQUENCY stands outside a *STEP"
+    message = f"{tmp_path / 'main.inp'}, line {line}: *FREQUENCY is outside a *STEP"
     with pytest.raises(ModelError, match=re.escape(message)):
         own_text(model, {}, MODAL)
 

@@ -264,7 +264,7 @@ def test_two_blanks_behind_one_line_are_written_in_their_order(
 
 REFUSED: list[tuple[Parameter, str]] = [
     (parameter("shear_factor", "property", "22"), "PBARL 22 has no shear_factor"),
-    (parameter("shear_factor", "property", "21"), "PBAR 21 has I12, beside which K1 and K2"),
+    (parameter("shear_factor", "property", "21"), "PBAR 21 has I12, with which K1 and K2"),
     (parameter("shear_factor", "property", "25"), "in a line that the card does not have"),
     (parameter("inertia_1", "property", "26", item=1), "end B of PBEAM 26 is blank"),
     (parameter("area", "property", "24", item=4), "no item 4 of area; it has 1, 2, 3"),

@@ -442,7 +442,7 @@ def test_bulk_data_alone_holds_by_its_only_constraint_set(tmp_path: Path) -> Non
 
 
 def test_bulk_data_alone_with_several_constraint_sets_is_ambiguous(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="no case control, and SPC sets 1, 2 stand side by side"):
+    with pytest.raises(ModelError, match="no case control, and SPC sets 1, 2 are both there"):
         job(tmp_path, BULK + "SPC1,2,123456,3\n")
 
 

@@ -71,7 +71,7 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
     said = str(raised.value)
     for line, reason in (
         (1, "metres must be above zero"),
-        (4, f"node 1 stands in {path}, line 3 already"),
+        (4, f"node 1 is in {path}, line 3 already"),
         (5, "`2` has 'x' where a number must be"),
         (6, "2 numbers where 3 must be"),
         (7, "node 9 has no row"),

@@ -271,7 +271,7 @@ def test_binary_values_of_either_order_with_or_without_a_line_end_before_the_mar
 def test_binary_values_whose_order_nobody_tells_are_passed_over(tmp_path: Path) -> None:
     text = binary_58(np.array(VALUES, "<c8"), (1, 3, 2, 3), (5, 8, 1, 0.0, 1.0), order=0)
     _, notes = read(tmp_path, POINTS, text)
-    assert "does not tell the order of its bytes (1 or 2, it has 0)" in notes
+    assert "does not state the order of its bytes (1 or 2, it has 0)" in notes
 
 
 def test_labels_of_points_that_are_not_numbers_are_told_with_their_line(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_modes_without_numbers_are_numbered_anew(tmp_path: Path) -> None:
     modes, numbers, notes = read(save(tmp_path / "t.unv", *modes_of))
     assert numbers == (1, 2, 3)
     assert modes.frequencies_hz.tolist() == [5.0, 7.0, 8.0]
-    assert "numbered anew" in notes
+    assert "renumbered" in notes
 
 
 def test_one_number_for_two_modes_of_a_file_is_numbered_anew(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_axes_of_dataset_18_are_those_of_its_three_points(tmp_path: Path) -> Non
     system = dataset(18, *system_18(4, 0, 0, ((1, 1, 1), (1, 2, 1), (1, 1, 3))))
     points, notes = read(save(tmp_path / "t.unv", system, nodes_15((1, 0, 4, (0, 0, 0)))))
     np.testing.assert_allclose(points.frames[0], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-12)
-    assert "1 of 1 points have axes of their own" in notes
+    assert "1 of 1 points have local axes" in notes
 
 
 def test_coordinates_in_a_local_system_become_global(tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_all_problems_come_at_once_each_with_its_line(folder: Path) -> None:
         ("modes: measured.csv", "modes: measured.csv, use: [1, 7]", "mode 7 is asked for"),
         ("name: small", "name: ../small", "line 1: name"),
         ("name: small", "name: small\nrun: {licences: {nastrn: 2}}", "has the unknown name nastrn"),
-        ("name: small", "name: small\nname: twice", "line 2: the key `name` stands twice"),
+        ("name: small", "name: small\nname: twice", "line 2: the key `name` occurs twice"),
         ("name: small", "name: !!python/object:os.system x", "not readable as YAML"),
         ("test:", "test: [", "not readable as YAML"),
     ],

@@ -281,7 +281,7 @@ def test_the_command_line_tells_all_of_it(shaft: Callable[..., Path], tmp_path: 
         ((("solver: command", "solver: calculix"),), "line 2: model: `solver: command` and the"),
         ((("twist.csv", "/tmp/twist.csv"),), "/tmp/twist.csv is not in the deck's folder"),
         ((("    results: twist.csv\n", ""),), "give either `results` or `reader`"),
-        ((("name: propeller", "name: screw"),), r"line 2\d: .*shaft\.txt: screw stands nowhere"),
+        ((("name: propeller", "name: screw"),), r"line 2\d: .*shaft\.txt: screw does not occur"),
         ((("    most_modes", "    edits: [{parameter: p, line: 2}]\n    most_modes"),),
          "give `line` with `field` or `columns`, or `pattern`"),
         ((("solver: command", "solver: shaftline"),

@@ -92,7 +92,7 @@ def test_dampers_and_a_spring_are_found_from_ratios_and_frequencies(tmp_path: Pa
 @pytest.mark.parametrize(
     ("model", "test", "said"),
     [
-        (MODEL.split("dampers")[0], "", "no `viscous` or `structural` damping"),
+        (MODEL.split("dampers")[0], "", "the model has no `viscous` or `structural` damping"),
         (MODEL, measured().replace("damping_ratio", "# "), "the test has no damping ratios"),
         (MODEL.replace("viscous: 3.0", "vicous: 3.0"), "", "did you mean viscous"),
         (MODEL.replace("viscous: 3.0", "viscous: -3.0"), "", "needs a plain number above zero"),
