@@ -21,7 +21,7 @@ DECKS: dict[str, tuple[tuple[str, str], ...]] = {
     "fixture": (("fixture.fixture", "write_decks"),),
     "launcher": (("launcher.launcher", "write_decks"),),
     "mast": (("mast.mast", "write_decks"),),
-    # Models that are campaign data stand beside the campaign.
+    # Models that are campaign data are in the campaign's folder.
     "four_storey": (),
     "frame": (),
     "six_mass": (),

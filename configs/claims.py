@@ -1,4 +1,4 @@
-"""What is said of a case, held against its run: the outcome of a demo."""
+"""Claims about a case, checked against its run: the outcome of a demo."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """Something said of a case, whether it holds here, and by what numbers."""
+    """A claim about a case, whether it holds, and the numbers for it."""
 
     claim: str
     holds: bool
@@ -16,7 +16,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Rows of a case's results beside those of its source, as they are shown."""
+    """Rows that compare a case's results with those of its source."""
 
     title: str
     headings: tuple[str, ...]

@@ -34,7 +34,7 @@ def true_modes(
     """The elastic modes of a model with its true values, by one run of CalculiX; mass-normalised.
 
     write_deck: writes the deck into a file; truth: relative values by the parameters' names; rigid:
-    whether rigid modes stand before them. Raises SolverError.
+    whether rigid modes precede them. Raises SolverError.
     """
     with tempfile.TemporaryDirectory(prefix="modetune-") as name:
         folder = Path(name)

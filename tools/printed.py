@@ -3,7 +3,7 @@
     python tools/printed.py docs/bracket.md [--write]
 
 A block that begins with `$ ` holds commands, run one after the other in one new folder a page, and
-lines of what they print, in order; `...` stands for any lines, and at a line's end for its rest.
+lines of what they print, in order; `...` replaces any lines, or the end of a line.
 Words must be the same, numbers within two units of their last digit or half a percent. With --write
 the lines that differ are replaced by the likest ones that were printed.
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 
 BLOCK = re.compile(r"^```\n(\$ .*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"[-+±]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-#: Numbers may differ by so many units of their last digit, or by this share of themselves.
+#: Allowed difference of numbers: units of their last digit, or a share of themselves.
 UNITS, SHARE = 2, 0.005
 #: Wide enough for every table.
 COLUMNS = "200"
@@ -109,7 +109,7 @@ def _likest(line: str, printed: list[str]) -> str:
 
 
 def main(page: Path, write: bool) -> int:
-    """Tell differences, or mend the page; 1 where any is left."""
+    """Print differences, or correct the page; 1 if any remains."""
     found = list(differences(page))
     if write:
         text = page.read_text()

@@ -1,4 +1,4 @@
-"""Makes what a lab would send of the bracket: 69 channels, two hammers' points, axes of its own.
+"""Makes a lab's data of the bracket: 69 channels, two hammer points, local axes.
 
     python -m modetune.configs.bracket.lab FOLDER
 
@@ -40,7 +40,7 @@ SIZE = 6.0
 SEED, NOISE, DAMPING = 2026, 0.01, 0.005
 #: How well the lab knows its points, mm.
 POINT_NOISE_MM = 0.5
-#: Elastic modes that the responses are made of, beside the six rigid ones, which answer between
+#: Elastic modes of the responses, in addition to the six rigid ones, which respond between
 #: resonances; those above the measured band are the residual.
 N_MODES = 16
 #: Lowest and highest frequency of the identification, Hz.

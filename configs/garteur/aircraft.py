@@ -4,7 +4,7 @@ An aluminium aircraft of plates on a box (Balmes and Wright 1997; dimensions as 
 models of it agree): fuselage 1500 x 50 x 150 mm, wing 2000 x 100 x 10 mm on top of it with its
 middle 600 mm from the nose, wing-tip drums 400 x 100 x 10 mm on the wing at y = +-950 mm, fin
 300 mm high and 10 mm thick at the tail end, tailplane 400 x 100 x 10 mm on the fin. Parts share
-nodes at their joints. Each part is a property group with a material of its own.
+nodes at their joints. Each part is a property group with its own material.
 
 x runs from nose to tail, y to starboard, z up, z = 0 on the fuselage axis; units mm, t, s (MPa).
 The constraining layer, the added masses and the steel wing plate of the real structure are left

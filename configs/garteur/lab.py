@@ -36,7 +36,7 @@ IDENTIFIED, UPDATED = 1e-3, 0.02
 SEED = 2026
 NOISE = 0.01
 POINT_NOISE_MM = 2.0
-#: Elastic modes that the responses are made of, beside the six rigid ones, which answer between
+#: Elastic modes of the responses, in addition to the six rigid ones, which respond between
 #: resonances; those above the measured band are the residual.
 N_MODES = 20
 DAMPING = 0.004
@@ -129,7 +129,7 @@ def write_first_campaign(folder: Path) -> None:
 
 
 def claims(record: CampaignRecord) -> list[Claim]:
-    """What was found beside what the responses were made from."""
+    """Compare the results with the truth behind the responses."""
     measured = record.test.modes.frequencies_hz
     truth = true_modes().frequencies_hz[6 : 6 + measured.size]
     off = measured / truth - 1.0

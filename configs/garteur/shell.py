@@ -15,8 +15,8 @@ bonded to it: every part is the mid-plane of its plate, plates meet in common no
     masses      0.2 kg at the inner front of each drum, 0.5 kg where fin and tailplane meet
 
 x runs from nose to tail, y to starboard, z up, z = 0 on the fuselage's axis; units mm, t, s (MPa).
-Every property has a material of its own, of the same number, so that each can be updated alone.
-Grid points that stand for a sensor keep their numbers (SENSORS) whatever the mesh.
+Every property has its own material, of the same number, so that each can be updated alone.
+Grid points of sensors keep their numbers (SENSORS) whatever the mesh.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ DRUMS = Property(4, "DRUMS", 10.0)
 DRUM_JOINT = Property(5, "DRUM JOINT", 20.0)
 FIN = Property(6, "FIN", 10.0)
 TAILPLANE = Property(7, "TAILPLANE", 10.0)
-#: The pylon stands for a third of the plate and weighs 0.41 kg, which is left out here.
+#: The pylon represents a third of the plate and weighs 0.41 kg, which is left out here.
 ROOT = Property(8, "WING ON STEEL PLATE", 26.0, PLATE_AND_WING, 3.62e-9)
 PLATE = Property(9, "STEEL PLATE", 16.0, STEEL, 7.8e-9)
 PYLON = Property(10, "PYLON", 50.0)

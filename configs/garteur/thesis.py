@@ -12,7 +12,7 @@ THESIS_ERRORS = (1.6, 0.4, 3.6, 5.9, 1.0, 0.2)
 
 
 def claims(record: CampaignRecord) -> list[Claim]:
-    """The errors reached beside the thesis's."""
+    """Compare the errors with the thesis's."""
     reached = 100.0 * np.abs(record.best.frequency_errors)
     theirs = ", ".join(f"{error:.1f}" for error in THESIS_ERRORS)
     ours = ", ".join(f"{error:.1f}" for error in reached)

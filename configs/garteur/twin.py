@@ -3,7 +3,7 @@
     python -m modetune.configs.garteur.twin FOLDER
 
 writes twin_measured.csv (exact) and twin_noisy.csv (0.2 % noise on frequencies, 2 % of each
-shape's root mean square on its entries, seed 2026) as they stand beside this file.
+shape's root mean square on its entries, seed 2026), the copies in this folder.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ GROUPS = (
     "BASE", "ARMS", "GUSSETS", "FITTING", "RAIL_BOTTOM", "RAIL_WEB", "RAIL_TOP", "RIBS", "DUCT",
     "GUIDES",
 )  # fmt: skip
-#: CalculiX's element for elements of so many nodes.
+#: CalculiX's element by the number of its nodes.
 KINDS = {8: "C3D8I", 10: "C3D10", 4: "S4", 3: "S3"}
 
 X_STATIONS = (
@@ -183,7 +183,7 @@ def launcher(mesh: LauncherMesh) -> LauncherModel:
 
 
 def assembled(bodies: Sequence[tuple[Sequence[LatticePart], Lattice]]) -> LauncherModel:
-    """Nodes and elements of bodies, each on a lattice of its own, which share no nodes.
+    """Return nodes and elements of bodies, each on its own lattice, which share no nodes.
 
     A sensor is on the first body that has a node there.
     """

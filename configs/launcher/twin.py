@@ -2,10 +2,10 @@
 
     python -m modetune.configs.launcher.twin FOLDER
 
-writes measured.csv as it stands beside this file (0.2 % noise on frequencies, 2 % of each shape's
+writes measured.csv, the copy in this folder (0.2 % noise on frequencies, 2 % of each shape's
 root mean square on its entries, seeded), by one run of CalculiX.
 
-The true launcher is three bodies with meshes of their own, which share no nodes: the base, the
+The true launcher is three bodies with separate meshes, which share no nodes: the base, the
 stand and the beam. Where the model's parts share nodes, the stand's feet are tied to the base on
 the patches of their bolts only, and the beam lies on four pads between it and the fitting, each of
 its own stiffness: flexible joints that the model does not have. It carries masses that the model
@@ -65,7 +65,7 @@ SIZES = (30.0, 26.0, 36.0)
 #: Places in x of the bolts' patches of the feet, mm; in y they are from 80 to 180 on both sides.
 PATCHES_X = ((-250.0, -150.0), (-50.0, 50.0), (150.0, 250.0))
 BEAM = ("RAIL_BOTTOM", "RAIL_WEB", "RAIL_TOP", "RIBS", "DUCT", "GUIDES")
-#: Groups whose faces are tied, apart from the rest of their own.
+#: Groups whose faces are tied, apart from others of their body.
 FEET, SADDLE = "FEET", "SADDLE"
 N_MEASURED = 6
 SEED = 2026

@@ -33,7 +33,7 @@ SIZE = 20.0
 MOUNTS = {"MOUNT_SIDE": ((1, 2), 900.0), "MOUNT_UP": ((3,), 1500.0)}
 #: What the rope pulls with along x and y, N.
 PULL = (60.0, 40.0)
-#: Corners of foot, mast and head that accelerometers and dial gauges stand at, mm.
+#: Corners of foot, mast and head with accelerometers and dial gauges, mm.
 PLACES = (
     (0.0, 0.0, 20.0), (200.0, 0.0, 20.0), (0.0, 160.0, 20.0), (200.0, 160.0, 20.0),
     (70.0, 60.0, 220.0), (130.0, 100.0, 220.0),

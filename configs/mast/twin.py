@@ -2,7 +2,7 @@
 
     python -m modetune.configs.mast.twin FOLDER
 
-writes measured.csv and prints what dial gauges and balance showed, as both stand in mast.yaml.
+writes measured.csv and prints the readings of dial gauges and balance in mast.yaml.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ TRUE_VALUES = {
 #: Standard errors within which all four values lie in 95 of 100 tests: the normal distribution's
 #: 1 - 0.05 / 8 quantile (Bonferroni).
 JOINT_95 = 2.50
-#: Nodes of the head and the foot that gauges stand at.
+#: Nodes of the head and the foot with gauges.
 GAUGES = (47, 518, 2, 558)
 
 

@@ -73,7 +73,7 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A method's result beside the test.
+    """A method's result compared with the test.
 
     unmeasured: masses (from 1) that the method did not see; mac_before, mac_after: (6, 6),
     computed by test; thesis_before, thesis_after: (6,), its diagonals; shown: masses whose
@@ -283,7 +283,7 @@ def _shape_error(case: Outcome) -> float:
 
 
 def beside(outcomes: Sequence[Outcome], record: CampaignRecord) -> list[Beside]:
-    """MAC, frequencies and springs of all methods, ours beside the thesis's.
+    """Compare MAC, frequencies and springs of all methods with the thesis's.
 
     outcomes: the direct methods' and inverse eigensensitivity's; record: of its campaign.
     """

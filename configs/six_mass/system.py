@@ -3,7 +3,7 @@
     python -m modetune.configs.six_mass.system FOLDER
 
 writes the models (analytical.yaml, experimental.yaml, six_mass.yaml) and the test data
-(measured.csv, all_measured.csv) as they stand beside this file.
+(measured.csv, all_measured.csv), the copies in this folder.
 
 The thesis shows the connections in a figure that its text does not have. The arrangement here is a
 choice. Ten springs between different pairs, every mass held:
@@ -53,7 +53,7 @@ ANALYTICAL, EXPERIMENTAL = 0, 1
 
 
 def model_text(title: str, column: int, erroneous: tuple[str, ...] = ()) -> str:
-    """A model file: one column of Table 1, but for springs that have the analytical value."""
+    """Return a model file: one column of Table 1, with the analytical value for some springs."""
     lines = [f"# Six masses and ten springs, thesis Table 1: {title}; kg, N/m.", "masses:"]
     lines += [f"  {name}: {values[column]}" for name, values in MASSES.items()]
     lines.append("springs:")

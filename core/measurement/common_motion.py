@@ -5,8 +5,8 @@ directions D (k, 3) of one set give the motion along d too if d = D^T w, with w 
 size; then d . u = w . y. So a direction of either set that the other one spans is compared, once:
 those of the first set, then what only the second set's own directions reach. Rotations go likewise.
 
-Directions are in the axes of each test. Points that both have in common, by number, tell how the
-axes of the second are turned against those of the first.
+Directions are in the axes of each test. Points in both tests, by number, give the rotation of the
+axes of the second against those of the first.
 """
 
 from __future__ import annotations

@@ -376,7 +376,7 @@ def _left_out(repeats: RepeatedTests, scatter: Scatter) -> list[str]:
             f"other modes of this one, lead to expect {mean:.6g} Hz within {deviation:.2g}"
         )
     if len(wrong) > TOLD:
-        said.append(f"{len(wrong) - TOLD} more values are left out likewise")
+        said.append(f"{len(wrong) - TOLD} more values are left out")
     return said
 
 

@@ -4,7 +4,7 @@ With a shift s > 0 the matrix A = K + s M is definite for free structures too. M
 
     M psi = tau A psi,   psi^T A psi = 1,   tau = 1 / (lambda + s),
 
-so rigid ones (tau = 1 / s) and what has no mass (tau = 0) are modes like the rest. Those of the
+so rigid ones (tau = 1 / s) and massless motions (tau = 0) are modes like all others. Those of the
 band alone leave out what modes above it add. So they are joined by residual vectors A^-1 w and
 A^-1 M A^-1 w of every sensor and force w: static flexibility and its first inertia term. The Ritz
 modes of both together give the receptance, with zeta_r of each,
