@@ -30,7 +30,7 @@ from modetune.core.errors import StorageUnavailable
 from modetune.core.storage.locks import FileLock
 from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.server_client import ServerClient, is_loopback, prefect_setting
-from tests.eventually import eventually
+from tests.eventually import allowed, eventually
 from tests.flows.conftest import SERVER_USER
 
 #: Any account but ours; 65534 is `nobody` on Linux.
@@ -428,7 +428,7 @@ def test_a_probe_takes_three_seconds_at_most(
     threads, began = threading.active_count(), time.monotonic()
     try:
         assert ServerClient(peer.url).answer() == answer
-        assert time.monotonic() - began < 3.0
+        assert time.monotonic() - began < allowed(3.0)
         assert threading.active_count() == threads
     finally:
         peer.close()
@@ -446,7 +446,7 @@ def test_a_host_whose_name_is_looked_up_for_ever_is_given_up(
     monkeypatch.setattr(socket, "getaddrinfo", look_up)
     began = time.monotonic()
     assert ServerClient("http://prefect.example/api").answer() == "does not answer"
-    assert time.monotonic() - began < 3.0
+    assert time.monotonic() - began < allowed(3.0)
     found.set()
 
 
@@ -537,7 +537,7 @@ def test_a_server_that_is_configured_and_gone_is_not_waited_for_long() -> None:
     seconds: list[float] = []
     began = time.monotonic()
     assert server.wait(2.5, seconds.append) == "does not answer"
-    assert time.monotonic() - began < 6.0
+    assert time.monotonic() - began < allowed(6.0)
     assert [int(item) for item in seconds] == [1, 2]
 
 
@@ -614,7 +614,7 @@ def test_a_locked_database_is_given_up(tmp_path: Path, monkeypatch: pytest.Monke
         server = process.use_server()
         began = time.monotonic()
         assert server.wait(12.0) == "does not answer"
-        assert time.monotonic() - began < 16.0
+        assert time.monotonic() - began < allowed(16.0)
     server.close()
     process.stop_server(home)
     assert not process.is_keeper(server.address.pid)

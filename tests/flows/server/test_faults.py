@@ -27,7 +27,7 @@ from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.server.run import LOST, carried_out
 from modetune.flows.server.run_page import RunPage
 from modetune.flows.studies.catalogue import find_study
-from tests.eventually import eventually
+from tests.eventually import allowed, eventually
 from tests.flows.conftest import Bench, Watcher
 from tests.flows.server.site import SERVER, SIX_MASS, Site
 
@@ -187,10 +187,10 @@ def test_what_answers_in_a_servers_place_changes_no_result(
         monkeypatch.setenv("HTTP_PROXY", "http://192.0.2.1:3128")  # nobody has this address
         before = set(threading.enumerate())
         end, wall_s = updated(bench)
-        assert eventually(lambda: not ours(set(threading.enumerate()) - before), 5.0)
+        assert eventually(lambda: not ours(set(threading.enumerate()) - before), allowed(5.0))
     check_same(end, plain)
     assert end.remark.startswith(("run without Prefect: ", LOST))
-    assert wall_s < BUSY * plain_s + LATER_S
+    assert wall_s < BUSY * plain_s + allowed(LATER_S)
 
 
 def test_a_server_that_answers_but_writes_nothing_does_not_get_the_end_of_a_run() -> None:
@@ -313,7 +313,7 @@ def test_a_command_ends_as_ever_where_the_shared_servers_database_is(
             with suppress(ProcessLookupError):
                 os.kill(address.pid, signal.SIGKILL)
     assert printed(done) == plain[0]
-    assert wall_s < BUSY * plain[1] + LATER_S
+    assert wall_s < BUSY * plain[1] + allowed(LATER_S)
 
 
 @pytest.fixture(scope="module")
@@ -352,5 +352,5 @@ def test_a_server_that_dies_or_hangs_under_a_run_changes_no_result(
         site.kill(*SERVER)
     assert run.returncode == 0, said
     assert not {"fault", "Traceback", "thread"} & set(said.split())
-    assert wall_s < BUSY * plain[1] + LATER_S
+    assert wall_s < BUSY * plain[1] + allowed(LATER_S)
     assert json.loads(printed_json)["parameters"] == plain[0]["parameters"]

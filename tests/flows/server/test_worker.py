@@ -17,7 +17,7 @@ from modetune.flows.jobs import prefect_server as process
 from modetune.flows.jobs.heartbeats import RESOURCE, SILENT_S, HeartbeatWatch, send_heartbeat
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.server.worker import CampaignWorker, FixedConfiguration, check_login
-from tests.eventually import eventually
+from tests.eventually import allowed, eventually
 from tests.flows.conftest import api_of
 from tests.flows.server.site import ENDED, GOOD, PATIENCE_S, RUN, SERVER, WORKER, Site, stop
 
@@ -124,7 +124,7 @@ def test_a_run_of_a_command_shows_what_repeats_and_what_cancels_it(site: Site) -
     began = time.monotonic()
     command.communicate(timeout=60.0)
     assert command.returncode == 130
-    assert time.monotonic() - began < 15.0  # 10 s where no other tests share the cores
+    assert time.monotonic() - began < allowed(10.0)
     site.resume()
     assert site.state(words[-1])["state_type"] == "CANCELLED"
 
@@ -146,7 +146,7 @@ def test_the_keeper_marks_a_run_that_nobody_carries_out(site: Site) -> None:
     lost, live = (str(site.ask("/flow_runs/", content)["id"]) for _ in range(2))
     began, client = time.monotonic(), api_of(site.home)
     while site.state(lost)["state_type"] == "RUNNING":
-        assert time.monotonic() - began < 60.0
+        assert time.monotonic() - began < allowed(60.0)
         send_heartbeat(client, live)
         time.sleep(2.0)  # a heartbeat comes every few seconds
     assert site.state(lost)["state_type"] == "CRASHED"
