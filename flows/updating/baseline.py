@@ -1,9 +1,9 @@
-"""Whether a model is still as near to its test as it was: a band round a baseline's errors.
+"""Comparison of a model's agreement with its test to that of a baseline, within a band.
 
-A baseline is the record of an updating campaign (campaign.h5). Each mode of the test has an error
-of its frequency and a MAC there; the model that is checked leaves the band in a mode where its
-frequency error is larger than the baseline's by more than `frequency`, or its MAC is smaller by
-more than `mac`. A model that came nearer to the test never leaves it.
+A baseline is the record of an updating campaign (campaign.h5), with the frequency error and the MAC
+of each mode of the test. A checked model leaves the band in a mode if its frequency error exceeds
+the baseline's by more than `frequency`, or its MAC is lower by more than `mac`. A model that agrees
+better than the baseline never leaves the band.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import evaluator_of
 
-#: Which model of a record: as updating left it, or as it started.
+#: Model of a record: updated or initial.
 State = Literal["updated", "initial"]
-#: A mode of a test: its configuration, empty where there is one model, and its number.
+#: A mode of a test: its configuration (empty if there is one model) and its number.
 Mode = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """How much worse a mode may be: relative frequency error, MAC; both absolute differences."""
+    """Permitted deterioration of a mode, in relative frequency error and in MAC."""
 
     frequency: float
     mac: float
@@ -41,11 +41,11 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far a model is from its test.
+    """The agreement of a model with its test.
 
     modes: the test's, configuration and number; test_hz: (n_modes,); errors: (n_modes,), relative
-    frequency errors; macs: (n_modes,), the better one of MAC and cluster MAC, NaN where no shape
-    was measured; verdict: on the update that the model comes from.
+    frequency errors; macs: (n_modes,), the higher of MAC and cluster MAC, NaN if no shape was
+    measured; verdict: on the update that produced the model.
     """
 
     modes: tuple[Mode, ...]
@@ -57,7 +57,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class ModeCheck:
-    """A mode's errors and the baseline's; reasons: why it left the band, none within it."""
+    """A mode's errors and the baseline's; reasons: why it left the band, empty within it."""
 
     mode: int
     configuration: str | None
@@ -73,9 +73,10 @@ class ModeCheck:
 
 @dataclass(frozen=True, slots=True)
 class BaselineCheck:
-    """What a check found. reason: empty where all modes stayed; runs: solver runs it took.
+    """The result of a check.
 
-    verdict: on the updated parameters, of the record that was checked or else of the baseline.
+    reason: empty if all modes are within the band. runs: solver runs of the check. verdict: on the
+    updated parameters, from the checked record, or else from the baseline.
     """
 
     modes: tuple[ModeCheck, ...]
@@ -90,7 +91,7 @@ class BaselineCheck:
 
 
 def read_agreement(path: Path, state: State) -> Agreement:
-    """How far the model of a record is from its test. Raises CampaignError."""
+    """Return the agreement of a record's model with its test. Raises CampaignError."""
     record = read_record(path)
     accepted = [item for item in record.iterations if item.accepted]
     chosen = accepted[-1] if state == "updated" else accepted[0]
@@ -105,15 +106,15 @@ def read_agreement(path: Path, state: State) -> Agreement:
 
 
 def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> BaselineCheck:
-    """Compare the model at the deck's values with a baseline: one modal run, the store first.
+    """Compare the model at the deck's values with a baseline: one modal run, unless it is cached.
 
-    Raises CampaignError where the baseline is of other modes; SolverError, StoreError.
+    Raises CampaignError if the baseline has other modes; SolverError, StoreError.
     """
     baseline = _fitting(campaign, path, state)
     engine = job_engine(campaign)
     own = replace(
         campaign, cases=tuple(replace(item, eigensolver="solver") for item in campaign.cases)
-    )  # a baseline holds the solver's own modes
+    )  # a baseline has the solver's own modes
     evaluator = evaluator_of(own, engine)
     theta = np.ones(len(campaign.parameters))
     try:
@@ -131,9 +132,9 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
 def check_record(
     campaign: Campaign, record: Path, path: Path, state: State, band: Band
 ) -> BaselineCheck:
-    """Compare the updated model of another record with a baseline; nothing is run.
+    """Compare the updated model of another record with a baseline, without a run.
 
-    Raises CampaignError where a record cannot be read or is of other modes.
+    Raises CampaignError if a record cannot be read or has other modes.
     """
     baseline, now = _fitting(campaign, path, state), read_agreement(record, "updated")
     if set(now.modes) != set(baseline.modes):
@@ -142,7 +143,7 @@ def check_record(
 
 
 def _fitting(campaign: Campaign, path: Path, state: State) -> Agreement:
-    """The baseline, if it is of the campaign's modes. Raises CampaignError."""
+    """Return the baseline. Raises CampaignError if its modes are not the campaign's."""
     baseline = read_agreement(path, state)
     test = campaign.test
     every = _modes(test, campaign.configurations, np.arange(len(test.numbers)))
@@ -154,13 +155,13 @@ def _fitting(campaign: Campaign, path: Path, state: State) -> Agreement:
 def _modes(
     test: MeasuredModes, configurations: tuple[str, ...], places: Integers
 ) -> tuple[Mode, ...]:
-    """The test's modes at these places."""
+    """Return the test's modes at these positions."""
     of = configurations or ("",) * len(test.numbers)
     return tuple((of[place], test.numbers[place]) for place in places.tolist())
 
 
 def _label(mode: Mode) -> str:
-    """What people call a mode behind the word "mode"."""
+    """Return the name of a mode, to follow the word "mode"."""
     return mode_name(mode[1], mode[0]).removeprefix("mode ")
 
 
@@ -223,14 +224,14 @@ def _mode(
     if macs[0] < macs[1] - band.mac:
         reasons.append(f"MAC {macs[0]:.3f}, baseline {macs[1]:.3f}, band {band.mac:g}")
     if np.isnan(macs[0]) and not np.isnan(macs[1]):
-        reasons.append("no MAC, because the test has no shapes any more")
+        reasons.append("no MAC, because the test no longer has shapes")
     return ModeCheck(
         mode[1], mode[0] or None, _label(mode), test_hz, *errors, *macs, not reasons, tuple(reasons)
     )
 
 
 def _hinted(found: BaselineCheck, path: Path, state: State, band: Band) -> BaselineCheck:
-    """With a remark where it looks as if the deck was compared with the wrong model."""
+    """Add a remark if the deck seems to be compared with the wrong model of the baseline."""
     if state == "initial":
         return found
     earlier = read_agreement(path, "initial")

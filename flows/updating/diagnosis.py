@@ -1,4 +1,4 @@
-"""The diagnosis of a campaign's answer: how far to trust it, at its end and in `--json`."""
+"""The diagnosis of a campaign's solution: how far to trust it, at its end and in `--json`."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from modetune.flows.updating.step import (
     way_to_least_misfit,
 )
 
-#: Collinear subsets that the summary names.
+#: Number of collinear subsets in the summary.
 NAMED = 10
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterErrors:
-    """The errors of parameters, and whether left-out modes confirm them.
+    """The errors of parameters, and whether predictions of left-out modes confirm them.
 
-    standard_errors: (n,), NaN where they are withheld; repeatability: (n,), by the noise of the
-    test alone; correlation: (n, n); remaining: (n,), the distance to the minimum misfit; limited:
-    names of responses at a limit there; missed: names of the modes whose prediction from the others
-    misses its interval, of n_predicted.
+    standard_errors: (n,), NaN if withheld. repeatability: (n,), from the test's noise alone.
+    correlation: (n, n). remaining: (n,), the distance to the minimum misfit. limited: names of
+    responses at a limit there. missed: names of the modes, among n_predicted, that lie outside the
+    interval predicted from the other modes.
     """
 
     standard_errors: Floats
@@ -68,9 +68,9 @@ def parameter_errors(
 ) -> ParameterErrors:
     """Return the errors of the present parameters; NaN without a sensitivity.
 
-    The variances of the test give the minimum a covariance, and with the model's own error
-    (`core/updating/model_error`) a larger one, C. Parameters at a distance d before the minimum
-    differ from the truth by C + d d^T. Parameters at bounds and limits do not scatter.
+    The variances of the test give the covariance of the minimum, and with the model's own error
+    (`core/updating/model_error`) a larger one, C. Parameters at a distance d from the minimum have
+    the mean square error C + d d^T. Parameters at bounds and limits have no scatter.
     """
     n, found, factor = len(campaign.parameters), last.residual, last.regularisation
     if matrix is None:
@@ -82,7 +82,7 @@ def parameter_errors(
     weights = used_weights(campaign, found)
     prior = prior_weights(campaign, last.parameters, factor)
     rows = found.independent(matrix.values)
-    # A pull that was found stronger than deviations beforehand draws real changes back.
+    # A pull stronger than the prior deviations reduces real changes.
     strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
 
     def covariance_of(variances: Floats) -> Floats:
@@ -119,9 +119,9 @@ def campaign_trust(
     agrees: bool,
     answers: Sequence[FieldAnswer] = (),
 ) -> Trust | None:
-    """What the newest sensitivity and the test say of the parameters; None without a sensitivity.
+    """Return the trust in the parameters from the newest sensitivity; None without a sensitivity.
 
-    errors: at the answer; agrees: whether e1 is met; answers: of the campaign's fields.
+    errors: at the solution. agrees: e1 is met. answers: solutions of the campaign's fields.
     """
     if matrix is None:
         return None
@@ -173,7 +173,7 @@ def campaign_trust(
 
 
 def _real_parts(campaign: Campaign) -> tuple[str, ...]:
-    """A sentence where complex shapes are compared by their real parts alone."""
+    """Return a sentence if only the real parts of complex shapes are compared."""
     found = []
     for case in campaign.used:
         kinds = {item.kind for item in case.responses}
@@ -185,7 +185,7 @@ def _real_parts(campaign: Campaign) -> tuple[str, ...]:
 
 
 def _freedom(campaign: Campaign, last: IterationRecord, matrix: Matrix) -> int:
-    """Measured values that are left to judge the fit by; a pull to the initial values adds some."""
+    """Return the degrees of freedom left; a pull to the initial values adds some."""
     values, theta = last.residual.n_independent, last.parameters
     if campaign.update.step == "pulled_to_initial":
         return values
@@ -198,7 +198,7 @@ def _freedom(campaign: Campaign, last: IterationRecord, matrix: Matrix) -> int:
 
 
 def checked(record: CampaignRecord) -> CampaignRecord:
-    """The record of an update that has ended, its trust judged by what is left and held out too."""
+    """Return the record of a finished update with the verdict, which includes held-out modes."""
     if record.trust is None:
         return record
     trust, found = record.trust, record_verdict(record)
@@ -210,7 +210,7 @@ def checked(record: CampaignRecord) -> CampaignRecord:
 
 
 def _worse(record: CampaignRecord) -> tuple[str, ...]:
-    """A sentence where held-out modes got worse."""
+    """Return a sentence if held-out modes got worse."""
     held = record.held_out
     if held is None or not held.any_worse:
         return ()
@@ -222,7 +222,7 @@ def _worse(record: CampaignRecord) -> tuple[str, ...]:
 
 
 def _curve(campaign: Campaign, iterations: Sequence[IterationRecord]) -> LCurve | None:
-    """The L-curve of the last step that was kept."""
+    """Return the L-curve of the last accepted step."""
     kept = [iteration for iteration in iterations if iteration.accepted]
     if len(kept) < 2:
         return None
@@ -261,7 +261,7 @@ def field_answers(
 
 
 def trust_summary(trust: Trust | None) -> Json:
-    """The key `trust` of `modetune update --json`; null where no sensitivity was computed."""
+    """Return the key `trust` of `modetune update --json`; null if no sensitivity was computed."""
     if trust is None:
         return None
     found, names = trust.identifiability, [item.name for item in trust.parameters]
@@ -325,7 +325,7 @@ def _told_starts(trust: Trust, spread: StartSpread) -> Json:
 
 
 def _new_below(record: CampaignRecord) -> tuple[str, ...]:
-    """A sentence where updating brought modes below all that answer the test."""
+    """Return a sentence if updating added modes below all paired ones."""
     first, last = record.iterations[0], [item for item in record.iterations if item.accepted][-1]
     below = min(last.pairing.computed, default=0)
     if len(record.configurations) or below <= min(first.pairing.computed, default=0):

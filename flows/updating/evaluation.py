@@ -1,7 +1,7 @@
-"""An evaluated parameter set: in each case its modes, which answer the test, and how far they are.
+"""The evaluation of a point: in each case the modes, their pairs in the test, and the differences.
 
-What a set gives in all cases is put together for the step: residuals and sensitivities are stacked,
-one kind of response after the other, and in each the cases in turn.
+For the step, the results of all cases are combined: residuals and sensitivities are stacked by type
+of response, and within a type by case.
 """
 
 from __future__ import annotations
@@ -41,17 +41,18 @@ from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.case import Case, node_base, side_by_side
 from modetune.flows.diagnosis.pairing import factor_findings
 
-#: Most points that modes are tracked from: the nearest of that many is near, and they take memory.
+#: Maximum number of points from which modes are tracked: the nearest of so many is close enough,
+#: and each takes memory.
 MOST_KNOWN = 400
-#: Kinds whose e1 is asked of the pairs themselves, whether they are compared or not.
+#: Response types whose e1 is checked on the pairs, even if the residual leaves them out.
 BY_MODES = ("frequencies", "shapes", "mac")
-#: Those of them that foretell a MAC.
+#: Those of them that predict a MAC.
 BY_SHAPES = ("shapes", "mac")
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """Where derivatives are taken: parameter values, the modes there, and which are paired.
+    """The point of derivatives: parameter values, the modes there, and the paired ones.
 
     key: of the modes' result.
     """
@@ -66,10 +67,10 @@ class Point:
 class CaseEvaluation:
     """A model state compared with the test of its case.
 
-    theta: the case's own parameters. modal: at the nodes that pairing and derivatives need; seen:
-    its elastic modes as the test's sensors see them; field: the elastic modes at every node that
-    was asked for; held_out: where the test's held-out modes are among them; solved_by: the program
-    that found the modes; responses: what is compared; matrices: where a response needs them.
+    theta: the case's own parameters. modal: modes at the nodes that pairing and derivatives need.
+    seen: its elastic modes at the test's sensors. field: the elastic modes at every requested node.
+    held_out: positions of the test's held-out modes among them. solved_by: the program that
+    computed the modes. responses: the compared responses. matrices: if a response needs them.
     """
 
     theta: Floats
@@ -92,10 +93,10 @@ class CaseEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """A parameter set compared with the tests of all cases.
+    """A point compared with the tests of all cases.
 
-    parts: in each case, in the campaign's order. seen, pairing, residual, errors: of all of them
-    side by side.
+    parts: of each case, in the campaign's order. seen, pairing, residual, errors: of all cases
+    together.
     """
 
     theta: Floats
@@ -107,21 +108,21 @@ class Evaluation:
 
     @property
     def key(self) -> str:
-        """The keys of the results that the modes are from."""
+        """Return the keys of the modes' results."""
         return " ".join(part.key for part in self.parts)
 
     @property
     def solved_by(self) -> str:
-        """The programs that found the modes."""
+        """Return the programs that computed the modes."""
         return "+".join(dict.fromkeys(part.solved_by for part in self.parts))
 
     def agrees(self, tolerances: Tolerances) -> bool:
-        """Whether e1 holds; members of a cluster of close modes are judged by its space."""
+        """Return whether e1 holds; members of a cluster of close modes are judged by its space."""
         return agrees(self.used_errors, self.pairing.judged_mac, tolerances) and not self.unmet
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """Kinds of response and limits, besides frequencies and shapes, that do not agree."""
+        """Return the limits and response types that disagree, besides frequencies and shapes."""
         kinds = [
             item.kind.replace("_", " ")
             for part in self.parts
@@ -134,7 +135,7 @@ class Evaluation:
 
     @property
     def used_errors(self) -> Floats:
-        """Errors of the frequencies that are compared."""
+        """Return the errors of the compared frequencies."""
         return self.residual.of_used("frequencies", self.errors)
 
 
@@ -142,9 +143,8 @@ class Evaluation:
 class Matrix:
     """A sensitivity matrix.
 
-    values: (n_residuals, n_parameters); methods: how each column was computed; keys: of the jobs
-    behind it; age: iterations since; missing: positions of columns that are unavailable, zero in
-    values.
+    values: (n_residuals, n_parameters). methods: the method of each column. keys: of its jobs.
+    age: in iterations. missing: positions of unavailable columns, which are zero in values.
     """
 
     values: Floats
@@ -155,7 +155,7 @@ class Matrix:
 
     @property
     def methods_had(self) -> tuple[str, ...]:
-        """How each column was computed, `missing` where it was not."""
+        """Return the method of each column, `missing` if it is unavailable."""
         return tuple(
             "missing" if column in self.missing else method
             for column, method in enumerate(self.methods)
@@ -174,11 +174,10 @@ def compare(
 ) -> CaseEvaluation:
     """Pair the modes of a model state with the test of its case. Raises LostMode, ModesError.
 
-    solved_by: the program that found them; drop: whether modes without a partner are left out,
-    where nothing was paired before; matrices: where a response needs them. Measured shapes decide
-    where there are some; else the pairs of `previous` are tracked, and at first the order of
-    frequencies decides. Where shapes count, close modes that the test splits are turned to lie as
-    the test's.
+    solved_by: the program that computed the modes. drop: leave out modes without a partner if
+    nothing was paired before. matrices: if a response needs them. Measured shapes decide the pairs.
+    Without them the pairs of `previous` are tracked; at the first point the order of frequencies
+    decides. If shapes are compared, close modes are rotated within their space to match the test.
     """
     modal = result.at(case.nodes)
     elastic = modal.elastic
@@ -211,7 +210,7 @@ def compare(
 def model_state(
     case: Case, seen: ModeSet, pairing: Pairing, modal: ModalResult, matrices: MatricesAt | None
 ) -> ModelState:
-    """A case as its responses see it."""
+    """Return the state of the model for the responses of a case."""
     mesh = None if matrices is None else case.solver.deck.mesh()
     return ModelState(case.test, case.weighting, seen, pairing, modal, matrices, mesh)
 
@@ -219,7 +218,7 @@ def model_state(
 def _paired(
     case: Case, elastic: ModeSet, previous: CaseEvaluation | None, drop: bool
 ) -> tuple[ModeSet, Pairing]:
-    """The elastic modes as the test's sensors see them, and their pairs."""
+    """Return the elastic modes at the test's sensors, and their pairs."""
     test, rules, resolution = case.test, case.rules, case.weighting.frequency_deviations
     seen = case.sensors.observe(elastic) if test.has_shapes else elastic
     if previous is not None:
@@ -228,7 +227,7 @@ def _paired(
         before = previous.pairing, known
         return seen, next_pairing(test, seen, elastic, before, rules, resolution)
     others = np.zeros(0) if case.held_out is None else case.held_out.modes.frequencies_hz
-    drop = drop or (rules.drop and not test.has_shapes)  # more modes would change no order
+    drop = drop or (rules.drop and not test.has_shapes)  # more modes would not change the order
     pairing = first_pairing(test, seen, rules, resolution, others, drop)
     refuse_uncertain(test, seen, pairing, rules)
     return seen, pairing
@@ -237,7 +236,7 @@ def _paired(
 def refuse_uncertain(
     test: MeasuredModes, computed: ModeSet, pairing: Pairing, rules: PairRules
 ) -> None:
-    """Raise UncertainPairs where there are such."""
+    """Raise UncertainPairs if there are any."""
     found = uncertain_pairs(test, computed, pairing, rules)
     for wrong_unit in factor_findings(test, computed) if found else ():
         raise UncertainPairs(f"{wrong_unit.text} (no shapes were measured, only the order pairs)")
@@ -250,7 +249,7 @@ def refuse_uncertain(
 
 
 def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> str:
-    """What confirms pairs, in words. numbers: of the test's modes."""
+    """Return a sentence about how to confirm pairs. numbers: of the test's modes."""
     own = {
         test.numbers[row]: column + 1
         for row, column in zip(pairing.measured.tolist(), pairing.computed.tolist(), strict=True)
@@ -266,7 +265,7 @@ def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> st
 def _held_out(
     case: Case, seen: ModeSet, pairing: Pairing, previous: CaseEvaluation | None
 ) -> Pairing | None:
-    """Where the modes that are only judged by are; a lost one is not an error."""
+    """Return the positions of held-out modes; a lost one is not an error."""
     held = case.held_out
     if held is None:
         return None
@@ -276,7 +275,7 @@ def _held_out(
 
 
 def judged(case: Case, initial: CaseEvaluation, updated: CaseEvaluation) -> HeldOut | None:
-    """The modes that are only judged by, before and after; None where there are none."""
+    """Return the held-out modes before and after updating; None if there are none."""
     if case.held_out is None or initial.held_out is None or updated.held_out is None:
         return None
     return judge_held_out(
@@ -290,7 +289,7 @@ def judged(case: Case, initial: CaseEvaluation, updated: CaseEvaluation) -> Held
 def whole_evaluation(
     cases: Sequence[Case], theta: Floats, parts: Sequence[CaseEvaluation]
 ) -> Evaluation:
-    """What a set gives in all cases as one, each by the weight of its case."""
+    """Combine the evaluations of all cases, each with the weight of its case."""
     return Evaluation(
         theta=theta,
         parts=tuple(parts),
@@ -314,12 +313,12 @@ def _in_whole(case: Case, part: CaseEvaluation) -> list[Residual]:
 
 
 def part_rows(parts: Sequence[CaseEvaluation]) -> list[Integers]:
-    """Of each case the rows it has in the whole residual."""
+    """Return the rows of each case in the whole residual."""
     return stacked_rows([part.residual for part in parts])
 
 
 def _all_seen(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> ModeSet:
-    """The modes of all cases, each at its own sensors."""
+    """Return the modes of all cases, each at its own sensors."""
     if len(parts) == 1:
         return parts[0].seen
     seen = [
@@ -330,7 +329,7 @@ def _all_seen(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> ModeSet
 
 
 def _all_pairs(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> Pairing:
-    """The pairs of all cases, positions counted through both sides."""
+    """Return the pairs of all cases, with positions numbered over all cases."""
     if len(parts) == 1:
         return parts[0].pairing
     measured, computed, reasons = [], [], []
@@ -353,7 +352,7 @@ def _all_pairs(cases: Sequence[Case], parts: Sequence[CaseEvaluation]) -> Pairin
 def expects_agreement(step: Step, evaluation: Evaluation, tolerances: Tolerances) -> bool:
     """Return whether the linear model predicts that e1 holds after a step.
 
-    Then the modal job runs alone, as sensitivities would most likely be in vain.
+    Then the modal job runs alone, since sensitivities would probably not be used.
     """
     rows = part_rows(evaluation.parts)
     return all(
@@ -384,7 +383,7 @@ def at_sensors(case: Case, part: CaseEvaluation, derivatives: ModeDerivatives) -
 
 @dataclass(slots=True)
 class ModeTrack:
-    """Evaluated points; where the test has no shapes, modes are tracked from the nearest of them.
+    """Evaluated points. If the test has no shapes, modes are tracked from the nearest of them.
 
     width: (n_parameters,), the unit of distances; extend: whether new points join, up to
     MOST_KNOWN.
@@ -396,7 +395,7 @@ class ModeTrack:
     _places: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     def next(self, thetas: Floats, waiting: Sequence[int]) -> int:
-        """Return the waiting point nearest to a known one, where it will join them."""
+        """Return the waiting point that is nearest to a known one."""
         if not (self.known and self.extend) or len(waiting) == 1:
             return waiting[0]
         return waiting[int(np.argmin(self._distances(thetas[list(waiting)]).min(axis=1)))]

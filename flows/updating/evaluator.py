@@ -1,14 +1,15 @@
 """The evaluator: from parameter values and a campaign's cases to evaluations and sensitivities.
 
-Each case has a source of its modes (`mode_source.py`) and shares parameters with the others. The
-solver work of all cases at a point is submitted together, so that their jobs run in parallel, and
-is counted. If a mode is lost the computed range of its case is widened and the modes are paired
-again; a source that turns out to be wrong for the model is replaced. A column of the sensitivity
-that one case lacks is missing altogether, since half a derivative is a wrong one.
+Each case has a source of modes (`mode_source.py`) and shares parameters with the others. The solver
+work of all cases at a point is submitted together, so that the jobs run in parallel, and is
+counted. If a mode is lost, the computed range of its case is widened and the modes are paired
+again. A source that turns out to be wrong for the model is replaced. If a case has no column of the
+sensitivity for a parameter that it shares, the whole column is missing, since a partial derivative
+would be wrong.
 
-Where modes come from stored matrices (`reduced_model.py`), many points within the bounds are
-evaluated by a reduced model, which a solver run at its worst point confirms once for all later use.
-The point that updating ends at is confirmed by the solver's own modes or matrices there.
+If modes come from stored matrices (`reduced_model.py`), many points within the bounds are evaluated
+by a reduced model, which one solver run at its worst point confirms for all later use. The solver's
+own modes or matrices confirm the point where updating ends.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ logger = logging.getLogger(__name__)
 
 #: Suffix of the title of work that is repeated for a lost mode.
 MORE = ", more modes"
-#: Points whose shapes are in memory at once.
+#: Maximum number of points whose shapes are in memory at the same time.
 TOGETHER = 256
 #: Work of a case.
 CaseWork = tuple[CaseState, Work]
@@ -101,8 +102,8 @@ def evaluator_of(
 ) -> Evaluator:
     """Return the evaluator of a campaign, with an engine and a source of modes for each case.
 
-    demand: number of points; like: a campaign of the same model, parameters and cases, whose choice
-    of a source is taken, by default this one; execution: of the work, by default on the engine's
+    demand: number of points. like: a campaign with the same model, parameters and cases that
+    determines the source, by default this one. execution: of the work, by default by the engine's
     tasks.
     """
     states: list[CaseState] = []
@@ -115,7 +116,7 @@ def evaluator_of(
         finder = by_solver(own, at) if case.aside else finder_of(own, at, demand, alike)
         states.append(CaseState(case, own, columns, at, finder, campaign_analysis(own)))
     by_matrices = any(state.finder.name != state.case.solver.program.name for state in states)
-    # A reduced model has directions for each parameter: with a field it is no smaller.
+    # A reduced model has directions for each parameter: with a field it would not be smaller.
     reducible = by_matrices and not campaign.fields
     return Evaluator(campaign, states, execution or Execution(engine), reducible)
 
@@ -123,8 +124,8 @@ def evaluator_of(
 class Evaluator:
     """Evaluates parameter values in all cases of a campaign, and counts the solver runs.
 
-    reducible: whether modes come from stored matrices that reduced models are made of. tell: is
-    called with the error of a reduced model, in words; idle: is called while the solver confirms an
+    reducible: modes come from stored matrices, from which reduced models are made. tell: is called
+    with a sentence about the error of a reduced model. idle: is called while the solver confirms an
     end.
     """
 
@@ -143,7 +144,7 @@ class Evaluator:
         self.tell: Callable[[str], None] = logger.info
         self.idle: Callable[[], None] = lambda: None
         self._runs = RunCounts()
-        # Reduced models within the bounds, by case: made once, confirmed once.
+        # Reduced models within the bounds, by case, each made and confirmed once.
         self._ranges: list[ReducedModes] = []
         self._refused = not reducible
         self._confirming: tuple[Evaluation, Future[Evaluation | None]] | None = None
@@ -151,25 +152,28 @@ class Evaluator:
 
     @property
     def only(self) -> CaseState:
-        """The state of the campaign's only case. Raises CampaignError where there are several."""
+        """Return the state of the only case. Raises CampaignError if there are several."""
         case = self.campaign.case
         return next(state for state in self.used if state.case is case)
 
     @property
     def runs(self) -> RunCounts:
-        """Solver runs so far, and their cost."""
+        """Return the solver runs so far and their cost."""
         costs = self.execution.engine.costs
         return replace(self._runs, core_s=costs.core_s, licence_s=costs.licence_s)
 
     @property
     def cheap(self) -> bool:
-        """Whether sensitivities take no job, so that e2 has none to save."""
+        """Return whether sensitivities take no job, so that e2 has none to skip."""
         return all(state.finder.cheap for state in self.used)
 
     @property
     def sets_cost_little(self) -> bool:
-        """Whether modes come from matrices or reduced models, so that further points are cheap
-        compared with their use: the minimum misfit itself, and the ends of other starts."""
+        """Return whether modes come from matrices or reduced models.
+
+        Further points are then cheap: updating continues to the minimum misfit and tries other
+        starts.
+        """
         return all(
             state.finder.name != (solver := state.case.solver).program.name
             or solver.deck.summary.matrices is not None
@@ -177,10 +181,10 @@ class Evaluator:
         )
 
     def polishes(self, evaluation: Evaluation) -> bool:
-        """Whether updating continues to the minimum misfit from an evaluation that meets e1.
+        """Return whether updating continues to the minimum misfit after e1 is met.
 
-        Steps on reduced models end there, and their predictions need no other solution. A field's
-        answer is the minimum: one weak element is well within e1.
+        Steps on reduced models end there anyway, and their predictions need no other solution. A
+        field is always updated to the minimum, since one weak element hardly affects e1.
         """
         if self.campaign.fields:
             return True
@@ -189,7 +193,7 @@ class Evaluator:
 
     @property
     def steps_run(self) -> bool:
-        """Whether each step runs the solver."""
+        """Return whether each step runs the solver."""
         return any(state.finder.name == state.case.solver.program.name for state in self.used)
 
     # work of the cases
@@ -199,8 +203,8 @@ class Evaluator:
     ) -> list[Done]:
         """Run the works in parallel and count their jobs; return the result of each, in order.
 
-        done: results so far, which are not computed again and which new ones join; more: works
-        whose results only join these.
+        done: earlier results, which are not computed again; new ones are added. more: works whose
+        results are only added to `done`.
         """
         listed = {_identity(item): item for item in (*works, *more)}
         missing = {mark: item for mark, item in listed.items() if mark not in done}
@@ -310,9 +314,9 @@ class Evaluator:
     ) -> Iterator[Evaluation | ModetuneError]:
         """Yield the evaluations of points (n, n_parameters), or the error of a point without one.
 
-        As many are solved in parallel as memory holds shapes. known: evaluations that modes are
-        tracked from; grows: whether new ones join them; in_full: as in `within`. Raises errors that
-        do not belong to one point.
+        Memory for shapes limits the number solved in parallel. known: evaluations from which modes
+        are tracked; grows: add new ones to them; in_full: as in `within`. Raises errors that
+        concern all points.
         """
         within = None
         if known and len(thetas) >= MANY:
@@ -339,7 +343,7 @@ class Evaluator:
     def _points(
         self, title: str, thetas: Floats, track: ModeTrack
     ) -> list[Evaluation | ModetuneError]:
-        # Shapes of the whole surface, which a report shows, would fill the store for nothing.
+        # Only a report shows shapes of the whole surface, which would fill the store.
         requests = [
             ModeRequest(
                 point, state, state.own(theta), ModalAnalysis(state.case.n_modes, state.case.nodes)
@@ -358,7 +362,7 @@ class Evaluator:
         done: Results,
         more: Sequence[CaseWork],
     ) -> list[Evaluation | ModetuneError]:
-        """Return the evaluations of all points, in rounds until no mode is lost any more."""
+        """Return the evaluations of all points, in rounds until no mode is lost."""
         parts: dict[tuple[int, int], CaseEvaluation] = {}
         found: dict[int, Evaluation | ModetuneError] = {}
         waiting = list(requests)
@@ -460,8 +464,8 @@ class Evaluator:
         return self._matrix(f"iteration {number}", evaluation, {})
 
     def by_energies(self, evaluation: Evaluation) -> Floats:
-        """Return rows of frequencies (n_frequencies, n_parameters) by strain energies, without a
-        job; NaN where energies do not give them."""
+        """Return rows of frequencies (n_frequencies, n_parameters) from strain energies, without a
+        job; NaN where energies do not determine them."""
         parameters, parts = self.campaign.parameters.names, evaluation.parts
         whole = evaluation.residual.rows("frequencies")
         found = np.full((whole.stop - whole.start, len(parameters)), np.nan)
@@ -508,7 +512,7 @@ class Evaluator:
         return self._stacked(parts, [columns[place] for place in range(len(parts))])
 
     def _report_reduced(self, title: str, state: CaseState, columns: Columns) -> None:
-        """Report columns that took no work: those of a reduced model around a point."""
+        """Report columns from a reduced model, which need no work."""
         if state.finder.name != REDUCED and set(columns.methods) == {REDUCED}:
             named = state.campaign.parameters.names
             names = [state.case.of(f"sensitivity {name}") for name in named]
@@ -516,7 +520,7 @@ class Evaluator:
             self.execution.skip(title, names, "Derived", reason)
 
     def _suited(self, title: str, place: int, part: CaseEvaluation) -> CaseEvaluation:
-        """Return an evaluated case with all that the derivatives of its source need."""
+        """Return an evaluated case with the modes that its source needs for derivatives."""
         state = self.used[place]
         if state.finder.suits(part, state.analysis):
             return part
@@ -554,7 +558,7 @@ class Evaluator:
 
     @property
     def range_use(self) -> RangeUse | None:
-        """How a reduced model served for many points; None where none did."""
+        """Return the use of a reduced model for many points; None if there was none."""
         if self._range_confirmed is None:
             return None
         models = [item.range for item in self._ranges]
@@ -578,9 +582,9 @@ class Evaluator:
         """Return the evaluator on reduced models within the bounds; None where a case has none, or
         the solver does not confirm it.
 
-        campaign: this one, or one with another test of the same models; around: an evaluated point
-        of this one; in_full: whether points with too large an error are solved in full; ahead:
-        return before the solver has confirmed the models (`_range_stands` waits for it).
+        campaign: this one, or one with another test of the same models. around: an evaluated point
+        of this one. in_full: solve points with too large an error in full. ahead: return before the
+        solver has confirmed the models (`_range_stands` waits for it).
         """
         if not self._ranges and not self._refused:
             self._ranges = self._made_ranges(around)
@@ -598,11 +602,11 @@ class Evaluator:
 
     @property
     def _accuracy(self) -> float:
-        """The largest relative error of frequencies that a reduced model may have."""
+        """Return the permitted relative error of a reduced model's frequencies."""
         return ACCURATE * min(self.campaign.tolerances.frequency, CONFIRMED)
 
     def _made_ranges(self, known: Evaluation) -> list[ReducedModes]:
-        """Return a reduced model within the bounds for each case; none where a case has none."""
+        """Return a reduced model within the bounds for each case; empty if a case has none."""
         found: list[ReducedModes] = []
         for state, part in zip(self.used, known.parts, strict=True):
             if not isinstance(state.finder, ByMatrices):
@@ -625,14 +629,14 @@ class Evaluator:
         return found
 
     def _range_points(self, state: CaseState) -> Floats:
-        """Points of a case (n_points, n_parameters) where the worst is looked for."""
+        """Return the points (n_points, n_parameters) among which to find a case's worst one."""
         bounds = self.campaign.parameters
         return np.array([state.own(theta) for theta in range_sets(bounds.lower, bounds.upper)])
 
     def _told(self, solutions: int, error: float) -> None:
         self.tell(
             f"reduced model: {solutions} full solutions, error {error:.0e}, "
-            f"asked {self._accuracy:.0e}"
+            f"permitted {self._accuracy:.0e}"
         )
 
     def _on_ranges(self, campaign: Campaign, in_full: bool = True) -> Evaluator:
@@ -670,7 +674,7 @@ class Evaluator:
         return True
 
     def _range_agrees(self, there: Evaluation, confirmed: Evaluation | None) -> bool:
-        """Whether the solver's frequencies are those of the reduced model."""
+        """Return whether the solver's frequencies agree with those of the reduced model."""
         assert confirmed is not None
         apart = float(np.max(np.abs(confirmed.errors - there.errors)))
         if apart > CONFIRMED:
@@ -686,7 +690,7 @@ class Evaluator:
     # confirmation by the solver
 
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
-        """Return a point evaluated by the solvers' own modes; None where it was already."""
+        """Return a point evaluated with the solvers' own modes; None if it already was."""
         if not self.reducible:
             return None
         title = f"iteration {number}"
@@ -708,8 +712,7 @@ class Evaluator:
         return self.whole(evaluation.theta, parts)
 
     def refute_matrices(self, apart: float) -> None:
-        """Replace stored matrices as the source of modes: the solver's frequencies differ by this,
-        relative."""
+        """Stop using stored matrices: the solver's frequencies differ by `apart`, relative."""
         error = UnlikeMatrices(f"the solver's own frequencies differ by {apart:.1e}")
         for state in self.used:
             if isinstance(state.finder, ByMatrices):
@@ -746,7 +749,7 @@ class Evaluator:
         return state.compared(part.theta, outcome.key, modal, part, name)
 
     def _begun(self, title: str, work: Work, state: CaseState) -> Callable[[], JobOutcome]:
-        """Begin a job; return a function that waits for its end and uses the time until then."""
+        """Begin a job; return a function that waits for its end and calls `idle` meanwhile."""
         job = in_background("confirm", lambda: self.carry_out(title, [work], state))
 
         def wait() -> JobOutcome:
@@ -768,7 +771,7 @@ def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
 
 
 def _numbered(works: Sequence[Work]) -> list[Work]:
-    """Return works with different names: those of one name, as of many points, are numbered."""
+    """Return works with unique names: equal names, as of many points, get numbers."""
     many, place = Counter(work.name for work in works), Counter[str]()
     named = []
     for work in works:
@@ -792,5 +795,5 @@ def _derived_points(
 
 
 def _model_state(case: Case, part: CaseEvaluation) -> ModelState:
-    """Return an evaluated case as its responses see it."""
+    """Return the model state of an evaluated case for its responses."""
     return model_state(case, part.seen, part.pairing, part.modal, part.matrices)

@@ -1,9 +1,9 @@
 """The forecast of a campaign's cost: core-minutes, licence-minutes and time, from earlier jobs.
 
-The cost of a job is the median of stored results of the same model and kind of analysis, or, where
-there are none, of earlier states of the deck, found by the model's name. The number of iterations
-is not known, so the forecast has the next iteration and an upper limit: all iterations, each with a
-new sensitivity.
+The cost of a job is the median of stored results of the same model and type of analysis. If there
+are none, results of earlier states of the deck are used, found by the model's name. The number of
+iterations is unknown, so the forecast has the cost of the next iteration and an upper limit: all
+iterations, each with a new sensitivity.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from modetune.flows.jobs.lookup import NEWEST, MedianCost, job_costs, parallel_t
 from modetune.flows.report.tables import json_object
 from modetune.flows.updating.evaluator import evaluator_of
 
-#: Number of the newest results that are read after an iteration.
+#: Number of newest results to read after an iteration.
 NEWEST_LATER = 20
-#: A change of the parameters that separates jobs of each iteration from those that run once.
+#: Parameter change for separating the jobs of each iteration from jobs that run once.
 ELSEWHERE = 1.001
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The cost of some jobs; unknown: number of jobs without a price, not in the sums."""
+    """The cost of several jobs; unknown: number of jobs of unknown cost, not in the sums."""
 
     jobs: int
     unknown: int
@@ -54,9 +54,9 @@ class Cost:
 class Forecast:
     """The forecast of a campaign.
 
-    coming: of the first iteration, zero once it is done; further: at most of each later iteration;
-    iterations: their maximum number; last: of the solver's run that confirms modes from stored
-    matrices, zero where each iteration runs the solver.
+    coming: cost of the first iteration, zero once it is done. further: maximum cost of each later
+    iteration. iterations: their maximum number. last: cost of the solver run that confirms modes
+    from stored matrices, zero if each iteration runs the solver.
     """
 
     coming: Cost
@@ -70,7 +70,7 @@ class Forecast:
 
     @property
     def known(self) -> bool:
-        """Whether every job has a price."""
+        """Return whether the cost of every job is known."""
         return self.most.unknown == 0
 
 
@@ -78,31 +78,31 @@ NOTHING = Cost(0, 0, 0.0, 0.0, 0.0)
 
 
 class Progress(Protocol):
-    """The watcher of a study; its own methods do nothing."""
+    """The watcher of a study; these methods do nothing."""
 
     def keep(self, folder: Path) -> None:
-        """Keep the progress of the jobs in a file of a run folder too."""
+        """Also write the progress of the jobs to a file in a run folder."""
         return
 
     def forecast(self, forecast: Any) -> None:
-        """A `Forecast` of the jobs that are still to come, before the start and later."""
+        """Take note of the forecast of the remaining jobs, at the start and later."""
         return
 
     def working(self, text: str) -> None:
-        """This is being computed now."""
+        """Take note of the computation in progress."""
         return
 
     def iteration(self, record: IterationRecord) -> None:
-        """An iteration is complete."""
+        """Take note of a complete iteration."""
         return
 
     def page(self, address: str) -> None:
-        """Prefect shows the run at this address."""
+        """Take note of the address at which Prefect shows the run."""
         return
 
 
 class Unwatched(Progress):
-    """Watches nothing."""
+    """A watcher that does nothing."""
 
 
 class Forecaster(Progress):
@@ -120,7 +120,7 @@ class Forecaster(Progress):
         self._campaign = campaign
         self._engine = engine
         evaluator = evaluator_of(campaign, engine)
-        # By matrices there are jobs at the start and one at the end, whatever the iterations.
+        # With matrices, jobs run at the start and one at the end, for any number of iterations.
         most = campaign.update.max_iterations
         self._iterations = most if evaluator.steps_run else 0
         start, elsewhere = campaign.start, ELSEWHERE * campaign.start
@@ -153,7 +153,7 @@ class Forecaster(Progress):
 
 
 def _jobs(works: Sequence[Work]) -> list[Job]:
-    """The jobs of some works, each once."""
+    """Return the jobs of several pieces of work, each once."""
     jobs: list[Job] = []
     for work in works:
         jobs += [job for job in work.jobs if job not in jobs]
@@ -163,7 +163,7 @@ def _jobs(works: Sequence[Work]) -> list[Job]:
 def job_cost(
     engine: JobEngine, prices: Mapping[str, MedianCost], parallel: int
 ) -> Callable[[Sequence[Job]], Cost]:
-    """Return a function that prices jobs, this many in parallel."""
+    """Return a function that estimates the cost of jobs, this many in parallel."""
     licences = sum(limit.taken for limit in engine.limits if limit.name != CORES)
 
     def cost(jobs: Sequence[Job]) -> Cost:
@@ -181,12 +181,12 @@ def job_cost(
 
 
 def cost_text(cost: Cost) -> str:
-    """A cost in words."""
+    """Return a cost as text."""
     number = f"{cost.jobs} job{'' if cost.jobs == 1 else 's'}"
     if cost.jobs == 0:
         return "nothing to run"
     if cost.unknown == cost.jobs:
-        return f"{number} of a cost that is not known (none of their kind is stored yet)"
+        return f"{number} of unknown cost (no job of this type is stored yet)"
     licences = f", {_minutes(cost.licence_s)} licence-minutes" if cost.licence_s else ""
     without = f", without {cost.unknown} of unknown cost" if cost.unknown else ""
     return (
@@ -195,7 +195,7 @@ def cost_text(cost: Cost) -> str:
 
 
 def forecast_text(forecast: Forecast) -> str:
-    """A forecast in one line."""
+    """Return a forecast as one line."""
     said = [f"first iteration {cost_text(forecast.coming)}"]
     further = NOTHING.plus(forecast.further, forecast.iterations)
     if further.jobs:
@@ -210,7 +210,7 @@ def forecast_text(forecast: Forecast) -> str:
 
 
 def told_forecast(forecast: Forecast) -> dict[str, Json]:
-    """A forecast as JSON; a cost that is not known is null."""
+    """Return a forecast as JSON; an unknown cost is null."""
     return json_object(
         forecast,
         "known",

@@ -1,11 +1,10 @@
 """The stiffness and mass matrices of a campaign's model as functions of its parameters.
 
-Where the matrices are sums of powers of each parameter, the solver runs the jobs of `matrix_plan`
-once for a model; the result, `core/updating/parameter_matrices`, replaces them in the store: it is
-as large as two of them for any number of parameters. Where they are not (Poisson's ratio, two
-parameters that scale the same quantity), the result belongs to one point, from jobs around it, and
-only its derivatives there are the model's. A model given as matrices has its own parts and needs no
-job.
+If the matrices are sums of powers of each parameter, the solver runs the jobs of `matrix_plan` once
+for a model. The result, `core/updating/parameter_matrices`, replaces them in the store; it is as
+large as two of them for any number of parameters. Otherwise (Poisson's ratio, two parameters that
+scale the same quantity) the jobs are run around one point, and the result is valid only for
+derivatives at that point. A model given as matrices has its own parts and needs no job.
 """
 
 from __future__ import annotations
@@ -42,32 +41,32 @@ from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
 
-#: Raised by hand when the same matrices are taken apart in another way.
+#: Increase this number when the decomposition of the matrices changes.
 VERSION = 2
 #: Upper triangles of stiffness and mass.
 Triangles = tuple[sparse.csr_array, sparse.csr_array]
 NOTHING = sparse.csr_array((0, 0))
-#: What a campaign can do where stored matrices cannot be believed.
+#: Remedy if stored matrices are not those of the model.
 WITHOUT_MATRICES = (
     "`sensitivity.method: finite_difference` with `model.eigensolver: solver` needs no matrices"
 )
-#: Elements from which freed memory is worth the system's time: new pages for each array took 4 to
-#: 8 s of the 47 of a campaign on 270,000 equations.
+#: Model size in elements above which freed memory is returned to the system. It has a price: new
+#: pages for each array took 4 to 8 s of the 47 s of a campaign on 270,000 equations.
 LARGE = 100_000
-#: Arrays from this many bytes on get separate pages, and bytes of smaller ones that the C library
-#: may keep, with its parameters of these names (mallopt(3)).
+#: Smallest array in bytes that gets separate pages, and bytes of freed smaller arrays that the C
+#: library may keep, by the names of its parameters (mallopt(3)).
 OWN_PAGES, M_MMAP_THRESHOLD, KEPT, M_TRIM_THRESHOLD = 1 << 22, -3, 1 << 24, -1
 
 
 @dataclass(frozen=True)
 class MatrixSource:
-    """The source of a model's matrices; step: relative, of differences where there are no powers.
+    """The source of a model's matrices; step: relative step of differences for other parameters.
 
-    with_losses: whether damping needs the stiffness of groups that have loss factors. beside:
-    values of other parameters.
+    with_losses: damping needs the stiffness of groups that have loss factors. beside: values of
+    other parameters.
 
-    Each model has its source. The matrices at a point are those of `columns`, positions of
-    parameters; of a model that is known `everywhere` they are the same for all points and columns.
+    The matrices at a point cover `columns`, positions of parameters. If the matrices are known
+    `everywhere`, they are the same for all points and columns.
     """
 
     engine: JobEngine
@@ -78,7 +77,7 @@ class MatrixSource:
 
     @cached_property
     def everywhere(self) -> bool:
-        """Whether K and M follow for all values from the same jobs."""
+        """Return whether the same jobs give K and M for all values."""
         if self._given is not None:
             return True
         pairs = list(zip(self.parameters.parameters, self._samplings, strict=True))
@@ -86,9 +85,9 @@ class MatrixSource:
         return powers and not any(scale_together(*both) for both in combinations(pairs, 2))
 
     def jobs(self, theta: Floats, columns: Sequence[int]) -> tuple[Job, ...]:
-        """The jobs that have to go before `matrices`, the model's own first.
+        """Return the jobs that must precede `matrices`, that of the unchanged model first.
 
-        None where the store has what they gave, or the model is matrices.
+        Empty if the store has their result, or the model is given as matrices.
         """
         if self._given is not None:
             return ()
@@ -101,29 +100,29 @@ class MatrixSource:
         return tuple({self.engine.key(job): job for job in (*more, *own)}.values()) if more else own
 
     def works(self, theta: Floats, columns: Sequence[int]) -> list[Work]:
-        """The same, a piece of work each."""
+        """Return the same jobs, a piece of work each."""
         jobs = self.jobs(theta, columns)
         return [
             Work(f"matrices {place} of {len(jobs)}", (job,)) for place, job in enumerate(jobs, 1)
         ]
 
     def key(self, theta: Floats, columns: Sequence[int]) -> str:
-        """The content key of the matrices at a set."""
+        """Return the content key of the matrices at a point."""
         if self._given is not None or self.everywhere:
             return self._key_everywhere
         return content_key(canonical_json(self._asked(self._plan(theta, columns))))
 
     def stored(self, columns: Sequence[int]) -> tuple[str, ...]:
-        """Keys of what the store has in place of jobs behind these columns."""
+        """Return the keys of the stored results that replace the jobs of these columns."""
         return (self._key_everywhere,) if columns and self.everywhere and not self._given else ()
 
     def matrices(
         self, theta: Floats, columns: Sequence[int], wide: bool = False
     ) -> ParameterMatrices:
-        """The matrices at a set, from jobs that have gone before.
+        """Return the matrices at a point, from finished jobs.
 
-        wide: of parameters without powers those by the wider pair. Raises ModelError where the
-        jobs' matrices do not fit together.
+        wide: use the wider pair for parameters without powers. Raises ModelError if the jobs'
+        matrices do not fit together.
         """
         if self._given is not None:
             return self._given
@@ -141,7 +140,7 @@ class MatrixSource:
             raise ModelError(f"{error}; {WITHOUT_MATRICES}") from error
 
     def last_matrices(self, theta: Floats, columns: Sequence[int]) -> ParameterMatrices:
-        """As `matrices`; results of jobs leave the store, which has what was made of them."""
+        """Return `matrices`; the store then drops the jobs' results and keeps the matrices."""
         jobs = self.jobs(theta, columns)
         found = self.matrices(theta, columns)
         self.group_stiffness(theta)
@@ -150,7 +149,7 @@ class MatrixSource:
         return found
 
     def group_stiffness(self, theta: Floats) -> GroupStiffness | None:
-        """Stiffness of the groups that have loss factors, from jobs that have gone before."""
+        """Return the stiffness of the groups that have loss factors, from finished jobs."""
         groups = self._groups(theta)
         if groups is None:
             return None
@@ -181,13 +180,13 @@ class MatrixSource:
         return self.engine.solver.deck.losses() if self.with_losses else ()
 
     def without_powers(self, columns: Sequence[int]) -> list[int]:
-        """Those of these columns whose derivatives are differences of pairs of matrices."""
+        """Return the columns whose derivatives are differences of pairs of matrices."""
         if self._given is not None:
             return []
         return [column for column in columns if not self._samplings[column].powers]
 
     def written(self, theta: Floats) -> Floats:
-        """The relative values (n_parameters,) that an edited deck would really hold."""
+        """Return the relative values (n_parameters,) after rounding to the digits of the deck."""
         solver = self.engine.solver
         pairs = zip(self.parameters.parameters, theta.tolist(), strict=True)
         return np.array([solver.deck.written(item, value) for item, value in pairs])
@@ -227,7 +226,7 @@ class MatrixSource:
         return plan(theta, samplings, self._elements)
 
     def _asked(self, chosen: MatrixPlan) -> Json:
-        """Everything that the matrices depend on."""
+        """Return everything that the matrices depend on."""
         return {
             "parameter matrices": VERSION,
             "jobs": [self.engine.key(job) for job in self._jobs(chosen)],
@@ -277,7 +276,7 @@ class MatrixSource:
     def _powers(
         self, column: int, values: list[float], uppers: list[sparse.csr_array], reference: float
     ) -> Powers:
-        """What goes with the powers of a parameter, or its slope between the first two values."""
+        """Return the coefficients of a parameter's powers, or the slope of the first two values."""
         powers = self._samplings[column].powers
         if powers:
             return Powers(column, powers, fit_powers(uppers, values, reference, powers))
@@ -287,7 +286,7 @@ class MatrixSource:
     def _separated(
         self, base: MatrixResult, changed: Triangles, columns: Sequence[int]
     ) -> dict[int, Triangles]:
-        """What of a job's change of stiffness and mass each of its columns made."""
+        """Return the part of a job's change of stiffness and mass that belongs to each column."""
         if len(columns) == 1 and self._samplings[columns[0]].affected is None:
             return {columns[0]: changed}
         found = {column: [NOTHING, NOTHING] for column in columns}
@@ -309,22 +308,22 @@ class MatrixSource:
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Small matrices on one thread, where more would wait for each other; MKL keeps its own."""
+    """Solve small matrices on one thread, as more would wait for each other; MKL is unaffected."""
     limited: AbstractContextManager[object] = _small_matrices().limit(limits=1)
     return limited
 
 
 @cache
 def _small_matrices() -> ThreadpoolController:
-    """Who computes with them; to look for it among all libraries takes longer than a few sets."""
+    """Return the libraries that compute with them; finding them takes longer than a few points."""
     return ThreadpoolController().select(internal_api="openblas")
 
 
 def return_freed_memory() -> None:
-    """Make glibc return freed arrays from 4 MB on, not from 32 MB on: of 136,539 equations it kept
-    4.3 kB each, a third of the memory in use.
+    """Make glibc return freed arrays of 4 MB or more, instead of 32 MB.
 
-    Nothing where the C library is another one.
+    With 136,539 equations it kept 4.3 kB per equation, a third of the memory in use. Does nothing
+    with another C library.
     """
     with suppress(OSError, AttributeError):
         library = ctypes.CDLL(None)

@@ -61,7 +61,7 @@ from modetune.flows.updating.sensitivities import (
 
 logger = logging.getLogger(__name__)
 
-#: How often the computed range is widened in search of a lost mode.
+#: Maximum number of times the computed range is widened to find a lost mode.
 WIDENINGS = 1
 #: The source of modes of a reduced model, in records.
 REDUCED = "reduced_model"
@@ -69,24 +69,24 @@ REDUCED = "reduced_model"
 CAMPAIGNS_OWN = (SolverMissing, SolverCancelled, LicenceDenied)
 #: Errors that show that a source is wrong for a model.
 UNFIT = (UnbalancedEnergies, UnlikeMatrices, ModelError)
-#: Raised by hand when campaigns shall make the choice again.
+#: Increase this number to make campaigns choose again.
 VERSION = 1
-#: From this many points on a reduced model within the bounds is worth its cost.
+#: Number of points from which a reduced model within the bounds is worth its cost.
 MANY = 16
-#: Expected number of points of updating, one after another.
+#: Expected number of successive points of updating.
 STEPS = 4
-#: What the first solution of a model by matrices takes besides (libraries, threads), seconds, and
-#: a set by a reduced model for all of them.
+#: Additional time of the first solution from matrices (libraries, threads), and time of a point by
+#: a reduced model within the bounds, seconds.
 START_S, SET_S = 0.4, 4e-3
-#: A run of few elements takes, each element adds, and each run is handled in, seconds.
+#: Time of a run of a small model, additional time per element, and handling of each run, seconds.
 RUN_S, ELEMENT_S, HANDLED_S = 0.03, 1e-3, 0.05
-#: Shares of a modal run: a matrix job; the first solution, reading included; later ones. Seen on
-#: solids of 17,000 and 270,000 equations (`benchmarks/eigen.py`), the larger share of both.
+#: Times relative to a modal run: a matrix job; the first solution, including reading; later ones.
+#: The larger of those measured on solids of 17,000 and 270,000 equations (`benchmarks/eigen.py`).
 JOB, FIRST, LATER = 0.45, 0.45, 0.15
-#: A modal run at the end that is expected to take so long, seconds, is left to matrices, which take
-#: half of it.
+#: If the modal run at the end is expected to take longer than this, seconds, matrices confirm it
+#: instead, in half the time.
 SPARED_S = 10.0
-#: Full solutions of an update by matrices after the first, and of a reduced model for many sets.
+#: Full solutions of an update by matrices after the first, and of a reduced model for many points.
 STEPS_IN_FULL, MANY_IN_FULL = 2, 10
 
 
@@ -109,12 +109,12 @@ class ModeFinder(Protocol):
 
     @property
     def name(self) -> str:
-        """The source, in records."""
+        """Return the name of the source, for records."""
         ...
 
     @property
     def cheap(self) -> bool:
-        """Whether sensitivities take no job, so that e2 has none to save."""
+        """Return whether sensitivities take no job, so that e2 has none to skip."""
         ...
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
@@ -146,11 +146,11 @@ class ModeFinder(Protocol):
         ...
 
     def suits(self, part: CaseEvaluation, analysis: ModalAnalysis) -> bool:
-        """Return whether the modes of an evaluated case are enough for derivatives."""
+        """Return whether the modes of an evaluated case are sufficient for derivatives."""
         return True
 
     def instead(self, error: ModetuneError) -> ModeFinder:
-        """Return the replacement of this source after an error. Raises it where there is none."""
+        """Return the replacement of this source after an error; raise it if there is none."""
         raise error
 
 
@@ -203,7 +203,7 @@ class BySolver:
         return works
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
-        """Return the available columns, with a warning for others; raises where none is left."""
+        """Return the available columns and warn of the others; raises if none is left."""
         reasons = self._failed_columns(done)
         columns = [column for column in range(len(self.methods)) if column not in reasons]
         found = self._derivatives(point, analysis, columns, reasons)
@@ -266,7 +266,7 @@ class BySolver:
         columns: Sequence[int],
         reasons: dict[int, ModetuneError],
     ) -> ModeDerivatives:
-        """Return derivatives of these columns; reasons: gets lost ones."""
+        """Return derivatives of these columns; reasons: filled with the errors of lost ones."""
         methods = sensitivities(self.campaign, self.source, analysis)
         parts = {}
         together = [c for c in columns if self.methods[c] != "finite_difference"]
@@ -428,7 +428,7 @@ def _forecast(campaign: Campaign, own: BySolver, demand: Demand, extra: int) -> 
     jobs_s = parallel_time([job_s] * jobs, parallel)
     step_s = run_s + parallel_time([run_s] * extra, parallel)
     solver_s = demand.steps * step_s + parallel_time([run_s] * demand.sets, parallel)
-    derived = "semi_analytic" in own.methods  # from modes of the matrices, once more a set
+    derived = "semi_analytic" in own.methods  # from modes of the matrices, one more per point
     if derived or demand.matrices:
         solver_s += START_S + jobs_s + (demand.steps if derived else 1) * FIRST * run_s
     matrices_s = START_S + jobs_s + FIRST * run_s
@@ -468,7 +468,7 @@ def parse_values(campaign: Campaign, settings: list[str]) -> dict[str, float]:
 def model_modes(
     campaign: Campaign, values: Mapping[str, float], number: int | None = None
 ) -> ModalResult:
-    """Return modes of the model, from the store or the solver; number: with rigid ones.
+    """Return modes of the model, from the store or the solver; number: including rigid ones.
 
     Raises SolverError, StoreError.
     """
@@ -531,7 +531,7 @@ class ModeRequest:
     def widen(self, error: LostMode, there: int) -> bool:
         """Request more modes; false where more would not help.
 
-        there: number of modes found; a model of a few unknowns has no more than that.
+        there: number of modes found, which may be all modes of a small model.
         """
         few = there < self.analysis.n_modes
         if self.widened == WIDENINGS or few or not error.above:

@@ -67,8 +67,8 @@ ACCURATE = 0.1
 class ByMatrices(ModeFinder):
     """Modes from the stored matrices of all values, derivatives from a local reduced model.
 
-    solver: the replacement where the matrices turn out not to be the model's (parts that are not in
-    them, sensors whose motion does not follow from them).
+    solver: the replacement if the matrices turn out not to be the model's (parts that they lack,
+    sensors whose motion does not follow from them).
     """
 
     campaign: Campaign
@@ -141,8 +141,8 @@ class ByMatrices(ModeFinder):
     ) -> CaseEvaluation | None:
         """Evaluate a case by the matrices that the solver assembles at its parameters.
 
-        begin: begins a job and returns a function that waits for its end. None where these matrices
-        differ from the stored ones.
+        begin: begins a job and returns a function that waits for its end. Returns None if these
+        matrices differ from the stored ones.
         """
         name = state.case.solver.program.name
         job = Job(state.campaign.parameters.values(part.theta), MatrixAnalysis())
@@ -156,7 +156,7 @@ class ByMatrices(ModeFinder):
             with doing(title):
                 key, modal, counted = self.stored().assembled(part.theta, analysis, own, begun)
         except (ModelError, UnlikeMatrices) as error:
-            logger.warning("%s: its own modes are looked at", error)
+            logger.warning("%s: using its own modes instead", error)
             return None
         said = "counted" if counted else "not counted"
         said = f"{name}'s matrices, {modal.eigenvalues.size} modes {said}"
@@ -165,7 +165,7 @@ class ByMatrices(ModeFinder):
         if apart <= CONFIRMED:
             return found
         logger.warning(
-            "frequencies by %s's matrices differ by %.1e: its own modes are looked at", name, apart
+            "frequencies by %s's matrices differ by %.1e: using its own modes instead", name, apart
         )
         return None
 
@@ -184,7 +184,7 @@ class ByMatrices(ModeFinder):
         """Return modes by a reduced model for all these points (n_points, n_parameters).
 
         part: the evaluated case that the model begins with; accuracy: the largest relative error of
-        frequencies; tell: is called with the number of full solutions and the error so far.
+        frequencies; tell: is called with the number of full solutions and the current error.
         """
         key, model = self.stored().over(part.point, thetas, analysis, accuracy, tell)
         return ReducedModes(model, part, key, self)
@@ -192,8 +192,7 @@ class ByMatrices(ModeFinder):
 
 @dataclass(slots=True)
 class Tally:
-    """Points evaluated, points among them that were solved in full, and the largest estimated error
-    of the others."""
+    """The number of points, those solved in full, and the largest estimated error of the rest."""
 
     points: int = 0
     in_full: int = 0
@@ -204,9 +203,9 @@ class Tally:
 class ReducedModes(ModeFinder):
     """Modes by a reduced model: one around an evaluated case, or one within the bounds.
 
-    around: the evaluated case, whose degrees of freedom the model has; key: of the modes. matrices:
-    of a model within the bounds, whose jobs are done; in_full: whether they solve the points where
-    the model's error may be too large. exact: whether the model has all unknowns.
+    around: the evaluated case, whose degrees of freedom the model has. key: of the modes. matrices:
+    of a model within the bounds, whose jobs are done. in_full: solve points with them if the
+    model's error may be too large. exact: the model has all unknowns.
     """
 
     model: ReducedModel | ReducedRange
@@ -252,7 +251,7 @@ class ReducedModes(ModeFinder):
         return reduced_columns(model.model if isinstance(model, ReducedRange) else model, point)
 
     def _accurate(self, theta: Floats, n_modes: int) -> ModalResult | None:
-        """Return the modes; None where they have to be found in full."""
+        """Return the modes; None if they must be computed in full."""
         known = self.around.modal.modes.n_modes
         if not self.in_full:
             n_modes = min(n_modes, known)
@@ -263,7 +262,7 @@ class ReducedModes(ModeFinder):
         except ModesError as failure:
             if not self.in_full:
                 raise
-            logger.debug("not by the reduced model: %s", failure)
+            logger.debug("solving in full instead of the reduced model: %s", failure)
             return None
         if error > CONFIRMED and self.in_full:
             return None

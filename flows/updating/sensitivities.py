@@ -1,15 +1,15 @@
-"""Sensitivity methods: which jobs a column needs, and how the column follows from their results.
+"""Sensitivity methods: the jobs that a column needs, and the column from their results.
 
-One interface for all: `shared` and `plan` name the jobs, the execution runs them all at once,
-`assemble` makes derivatives of the paired modes from the results. `auto` gives each parameter the
-cheapest method that is exact for what the residual compares:
+All methods have one interface: `shared` and `plan` list the jobs, the execution runs them together,
+and `assemble` makes derivatives of the paired modes from the results. `auto` selects for each
+parameter the cheapest method that is exact for the compared responses:
 
 1. strain_energy, no job at all: stiffness-linear parameters, frequencies only. The energies of
-   the modal run must balance (2 U / lambda = 1); where they do not (reduced elements keep their
-   hourglass energy to themselves) the column goes to the next method.
+   the modal run must balance (2 U / lambda = 1); if they do not (reduced elements do not print
+   their hourglass energy), the column uses the next method.
 2. semi_analytic, a few matrix jobs for all parameters: frequencies, and shapes where the matrices'
-   unknowns are found at the sensors.
-3. solver, one job for all columns: what the solver derives itself (Nastran's SOL 200).
+   unknowns include the sensors.
+3. solver, one job for all columns: the solver's own derivatives (Nastran's SOL 200).
 4. finite_difference, one modal job a parameter: anything.
 """
 
@@ -50,33 +50,34 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.updating.evaluation import Point
 from modetune.flows.updating.matrices import MatrixSource
 
-#: Eigenvalues of the stored matrices and of the solver's own run agree to its seven digits.
+#: Permitted relative difference of eigenvalues of the stored matrices from the solver's: it prints
+#: seven digits.
 EIGENVALUE_TOLERANCE = 1e-4
-#: Derivatives from two pairs of matrices, one twice as wide, that differ more are not believed.
+#: Permitted relative difference between derivatives from two pairs of matrices, one twice as wide.
 PAIR_TOLERANCE = 0.01
-#: Raised by hand when the same matrices give other derivatives.
+#: Increase this number when the same matrices give other derivatives.
 DERIVATIVES_VERSION = 3
 Exact = Literal["strain_energy", "semi_analytic", "solver", "finite_difference"]
-#: Printed energies have seven digits; a balance worse than this is a missing energy.
+#: Printed energies have seven digits; a larger imbalance means that some energy is missing.
 BALANCE_TOLERANCE = 1e-4
 
 
 class UnlikeMatrices(ModesError):
-    """The stored matrices are not those of the modes (preload, parts that matrices do not hold)."""
+    """The stored matrices are not those of the modes (preload, parts that matrices lack)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SemiAnalytic:
-    """The method bound to a model's matrices and the modal analysis whose modes are derived."""
+    """The semi-analytic method, bound to a model's matrices and its modal analysis."""
 
     source: MatrixSource
     with_shapes: bool
     modal: ModalAnalysis
 
     def derivatives(self, point: Point, columns: Sequence[int]) -> ModeDerivatives:
-        """Derivatives of the paired modes with respect to these columns, in their order.
+        """Return derivatives of the paired modes with respect to these columns, in their order.
 
-        They cost an eigensolution and a factorisation a mode, so the store keeps them. Raises
+        They take an eigensolution and a factorisation per mode, so the store keeps them. Raises
         UnlikeMatrices.
         """
         source, engine = self.source, self.source.engine
@@ -128,7 +129,7 @@ class SemiAnalytic:
     def _modes(
         self, point: Point, stiffness: sparse.csr_array, mass: sparse.csr_array
     ) -> tuple[Floats, Floats]:
-        """Modes of the matrices, as many as the modal run has. Raises UnlikeMatrices."""
+        """Return as many modes of the matrices as the modal run has. Raises UnlikeMatrices."""
         elastic = point.modal.elastic
         try:
             return solve_modes(
@@ -151,7 +152,7 @@ class SemiAnalytic:
         eigenvalues: Floats,
         shapes: Floats,
     ) -> None:
-        """Raise UnlikeMatrices where the derivatives by two pairs of matrices are not the same."""
+        """Raise UnlikeMatrices if two pairs of matrices give different derivatives."""
         columns = self.source.without_powers(columns)
         if not columns:
             return
@@ -172,10 +173,10 @@ class SemiAnalytic:
 
 
 def _refuse_others(point: Point, eigenvalues: Floats) -> None:
-    """Raise UnlikeMatrices where eigenvalues (n_modes,) of the matrices are not the point's."""
+    """Raise UnlikeMatrices if eigenvalues (n_modes,) of the matrices are not the point's."""
     elastic, paired, n_rigid = point.modal.elastic, point.pairing.computed, point.modal.n_rigid
     apart = np.abs(eigenvalues[paired + n_rigid] / elastic.eigenvalues[paired] - 1.0)
-    # Rigid modes, which should have none, show what the rounding of the matrices' text adds.
+    # Eigenvalues of rigid modes should be zero: theirs show the effect of rounding in the text.
     rounding = np.abs(eigenvalues[:n_rigid]).max(initial=0.0)
     if (apart > EIGENVALUE_TOLERANCE + rounding / elastic.eigenvalues[paired]).any():
         raise UnlikeMatrices(
@@ -188,8 +189,10 @@ def _refuse_others(point: Point, eigenvalues: Floats) -> None:
 def _as_compared(
     here: MatrixResult, point: Point, eigenvalues: Floats, shapes: Floats
 ) -> tuple[Floats, Floats]:
-    """Eigenvalues (n_modes,) and shapes (n, n_modes) of the matrices, signs and close modes as
-    those of the point."""
+    """Return eigenvalues (n_modes,) and shapes (n, n_modes) of the matrices.
+
+    Signs of shapes and rotations of close modes are those of the point.
+    """
     elastic, n_rigid = point.modal.elastic, point.modal.n_rigid
     rows, held = _sensor_rows(here, elastic.nodes, elastic.components)
     rotation = np.eye(eigenvalues.size)
@@ -202,7 +205,7 @@ def _as_compared(
 
 
 def _turned(point: Point) -> str:
-    """How close modes have been turned on to the test's, for keys; empty where none is close."""
+    """Return the rotations of close modes towards the test's, for keys; empty if none is close."""
     elastic = point.modal.elastic
     sets = [item for item in close_sets(elastic.frequencies_hz, CLOSE) if item.size > 1]
     if not any(np.isin(point.pairing.computed, item).any() for item in sets):
@@ -213,7 +216,7 @@ def _turned(point: Point) -> str:
 def _change(
     model: ParameterMatrices, theta: Floats, column: int
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """dK/dp and dM/dp, both triangles."""
+    """Return dK/dp and dM/dp, both triangles."""
     stiffness, mass = model.change(theta, column)
     return symmetric(stiffness), symmetric(mass)
 
@@ -221,7 +224,7 @@ def _change(
 def _sensor_rows(
     base: MatrixResult, nodes: Integers, components: Integers
 ) -> tuple[Integers, NDArray[np.bool_]]:
-    """Equation of each sensor degree of freedom that has one, and which are held in place."""
+    """Return the equation of each sensor degree of freedom that has one, and which are fixed."""
     equation: dict[tuple[int, int], int] = {}
     names = zip(base.nodes.tolist(), base.components.tolist(), strict=True)
     for row, name in enumerate(names):
@@ -237,7 +240,7 @@ class UnbalancedEnergies(ModesError):
 
 @dataclass(frozen=True, slots=True)
 class Sensitivities:
-    """The methods of a campaign bound to its model; `columns` are positions of parameters."""
+    """The sensitivity methods of a campaign and model; `columns` are positions of parameters."""
 
     source: MatrixSource
     settings: SensitivitySection
@@ -253,7 +256,7 @@ class Sensitivities:
         return self.source.parameters
 
     def method(self, parameter: Parameter) -> Exact:
-        """The method of a parameter's column."""
+        """Return the method of a parameter's column."""
         if self.settings.method != "auto":
             return self.settings.method
         if not self.with_shapes and self._has_energies(parameter):
@@ -261,11 +264,11 @@ class Sensitivities:
         return self.without_energies(parameter)
 
     def without_energies(self, parameter: Parameter) -> Exact:
-        """The cheapest method that needs no strain energies.
+        """Return the cheapest method that needs no strain energies.
 
-        Matrices are asked where they are linear in the parameter: then they are exact, once and
-        for all. Where they are not, two runs for matrices cost more than one for modes, and a
-        thickness moves the unknowns of shells (see `SemiAnalytic`).
+        Matrices are used if they are linear in the parameter: they are then exact for all values.
+        Otherwise two runs for matrices cost more than one for modes, and a thickness moves the
+        unknowns of shells (see `SemiAnalytic`).
         """
         solver = self.engine.solver
         shapes_found = solver.deck.summary.solid_shapes or not self.with_shapes
@@ -286,17 +289,17 @@ class Sensitivities:
         )
 
     def methods(self) -> tuple[Exact, ...]:
-        """The method of each column."""
+        """Return the method of each column."""
         return tuple(self.method(parameter) for parameter in self.parameters.parameters)
 
     def plan(self, theta: Floats, column: int, method: Exact) -> tuple[Job, ...]:
-        """The jobs that a column alone needs beyond the modal run."""
+        """Return the jobs of a single column, in addition to the modal run."""
         if method != "finite_difference":
             return ()
         return tuple(Job(values, self.modal) for values in self._perturbed(theta, column))
 
     def shared(self, theta: Floats, methods: Sequence[Exact]) -> list[Work]:
-        """What several columns need: the solver's sensitivities, the model's matrices."""
+        """Return the jobs that columns share: the solver's sensitivities, the model's matrices."""
         works = []
         if "solver" in methods:
             job = self._solver_job(theta, methods)
@@ -307,9 +310,9 @@ class Sensitivities:
     def assemble(
         self, point: Point, methods: Sequence[Exact], columns: Sequence[int]
     ) -> ModeDerivatives:
-        """Derivatives of the paired modes for these columns, in their order.
+        """Return derivatives of the paired modes for these columns, in their order.
 
-        Raises UnbalancedEnergies and UnlikeMatrices where a method cannot be believed here.
+        Raises UnbalancedEnergies, UnlikeMatrices if a method is not valid for this model.
         """
         own = self._of_solver(point, methods) if "solver" in methods else {}
         own |= self._of_matrices(point, [c for c in columns if methods[c] == "semi_analytic"])
@@ -351,7 +354,7 @@ class Sensitivities:
         )
 
     def _of_solver(self, point: Point, methods: Sequence[Exact]) -> dict[int, ModeDerivatives]:
-        """Columns of the paired modes from the solver's derivatives of all modes."""
+        """Return columns of the paired modes from the solver's derivatives of all modes."""
         job = self._solver_job(point.theta, methods)
         result = self.engine.solve(job).result(ModeDerivatives)
         modes = point.pairing.computed + point.modal.n_rigid
@@ -396,11 +399,11 @@ class Sensitivities:
         )
 
     def _at(self, point: Point, values: Mapping[str, float]) -> tuple[Floats, Floats]:
-        """Eigenvalues and shapes of the paired modes in a perturbed model, re-paired and signed."""
+        """Return eigenvalues and shapes of the paired modes in a perturbed model, signs matched."""
         result = self.engine.solve(Job(values, self.modal)).result(ModalResult)
         base, moved = point.modal.elastic, result.elastic
         paired = point.pairing.computed
-        # With all members of clusters, of which the test may have one.
+        # With all members of clusters, even if the test has only one.
         members = with_neighbours(base.frequencies_hz, paired)
         again = pair_by_tracking(alone(members), base, moved)
         before, after = base.select(members), moved.select(again.computed)
@@ -408,16 +411,16 @@ class Sensitivities:
             np.real(after.mode_shapes), np.real(before.mode_shapes), before.frequencies_hz
         )
         places = np.searchsorted(members, paired)
-        # Of close modes that the step turns: what the shapes that they had would be.
+        # Rotate close modes, whose shapes the step mixes, back to those before it.
         eigenvalues = after.eigenvalues @ rotation**2
         return eigenvalues[places], (np.real(after.mode_shapes) @ rotation)[:, places]
 
 
 def by_energies(point: Point, names: Sequence[str]) -> Floats:
-    """Derivatives of the paired modes' eigenvalues by their strain energies, (n_pairs, n_names).
+    """Return derivatives of the paired modes' eigenvalues from strain energies, (n_pairs, n_names).
 
-    names: of the point's parameters; NaN for one whose energies were not asked for, as the
-    stiffness is not proportional to it. Raises UnbalancedEnergies.
+    names: of the point's parameters; NaN for one without requested energies, because the stiffness
+    is not proportional to it. Raises UnbalancedEnergies.
     """
     balance = point.modal.energy_balance[point.pairing.computed]
     if not (np.abs(balance - 1.0) <= BALANCE_TOLERANCE).all():
@@ -435,7 +438,7 @@ def by_energies(point: Point, names: Sequence[str]) -> Floats:
 
 
 def not_linear(solver: Solver) -> str:
-    """Why no parameter of a model is linear and what follows from that; empty where they may be."""
+    """Return why a model is linear in no parameter, and the consequence; empty if it may be."""
     why = solver.deck.preload()
     return why and (
         f"{why}: the stiffness depends on the state there, so it is linear in no parameter, and "
@@ -448,7 +451,7 @@ def _columns(methods: Sequence[Exact], method: Exact) -> list[int]:
 
 
 def _scaled(theta: Floats, column: int, factor: float) -> Floats:
-    """Parameter values with one of them multiplied."""
+    """Return the parameter values with one of them multiplied."""
     moved = theta.copy()
     moved[column] *= factor
     return moved

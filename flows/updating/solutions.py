@@ -1,22 +1,22 @@
 """Modes of a campaign's model from its stored matrices, solved in this process.
 
-The store keeps the modes at each point like a solver's result. A search that begins with the modes
-of another point takes half as long as one from random vectors, and differs in the last digits. So
-a key names what its search began with, and the digits are the same in every process:
+The store keeps the modes at each point like a solver's result. An eigenvalue search that starts
+from the modes of another point takes half as long as one from random vectors, but its last digits
+differ. So a key includes the start of its search, and the digits are the same in every process:
 
     the first point            random vectors
     later points               the modes of the first one
-    once there is a basis      the modes of the newest reduced model at the point
+    after the first basis      the modes of the newest reduced model at the point
 
-Where a factorisation takes longer than it saves (large models), a search from a reduced model
-continues with the factors that the modes behind that model were found with. Where those factors
-have been replaced, because a point lay too far away, they are computed again.
+If a factorisation takes longer than it saves (large models), a search from a reduced model uses the
+factors with which the modes of that model were computed. If those factors have been replaced,
+because a point was too far away, they are computed again.
 
 Shapes of all unknowns and the newest basis stay in memory. After a kill the start of the next
-search is computed again. The shapes of a large model are in the store as long as a search may begin
-with them, so that one factorisation is enough; those of a small model are computed point by point.
-Matrices that the solver assembles at a point are solved in the same way, and their modes are
-counted.
+search is computed again. The store keeps the shapes of a large model as long as a search may start
+from them, so that one factorisation is enough; those of a small model are computed point by point.
+Matrices that the solver assembles at a point are solved in the same way, and a count proves that no
+mode is missing.
 """
 
 from __future__ import annotations
@@ -55,40 +55,40 @@ from modetune.flows.updating.sensitivities import UnlikeMatrices
 
 logger = logging.getLogger(__name__)
 
-#: Raised by hand when the same matrices are solved to other numbers.
+#: Increase this number when the same matrices give other modes.
 MODES_VERSION = 6
-#: Unobservable nodes that a message names.
+#: Number of unobservable nodes in a message.
 NAMED = 5
 T = TypeVar("T")
-#: From this many unknowns on the store has full solutions that searches begin with: those of
-#: smaller models take only a few times as long to solve again as to store.
+#: Number of unknowns from which the store keeps full solutions as starts of searches: solving a
+#: smaller model again takes only a few times as long as storing its modes.
 KEPT_FROM = 50_000
 #: Share of the memory that the matrices of all values, or a basis, may take.
 IN_MEMORY = 0.1
 #: The first task of a resumed campaign, on displays.
-AGAIN = "what the search begins with, once more"
-#: Raised by hand when the same matrices are reduced to other numbers.
+AGAIN = "start of the search, computed again"
+#: Increase this number when the same matrices give other reduced models.
 REDUCED_VERSION = 6
 RANGE_VERSION = 4
-#: The same of exact derivatives.
+#: The same for exact derivatives.
 DERIVATIVES_VERSION = 1
 
 
 def first_shift(campaign: Campaign) -> float:
-    """A shift by the test's first frequency, (rad/s)^2."""
+    """Return a shift that follows from the test's first frequency, (rad/s)^2."""
     first = 2.0 * np.pi * float(np.min(campaign.case.measured.modes.frequencies_hz))
     return shift_below(first**2)
 
 
 def rounding(campaign: Campaign) -> float:
-    """Of the matrices' entries, relative."""
+    """Return the relative rounding error of the matrices' entries."""
     return PRINTED if campaign.case.solver.deck.summary.matrices is None else GIVEN
 
 
 def solved_energies(
     campaign: Campaign, matrices: MatrixResult, solved: SolvedModes
 ) -> tuple[Floats, int]:
-    """Energies (n_modes,), NaN of rigid modes, and how many modes are rigid."""
+    """Return energies (n_modes,), NaN for rigid modes, and the number of rigid modes."""
     energies = matrix_energies(matrices.upper_stiffness, solved.shapes, rounding(campaign))
     energies[energies == 0.0] = np.nan
     return energies, count_rigid_modes(solved.eigenvalues, energies, lambda: np.inf)
@@ -102,7 +102,7 @@ def modes_at(
     n_rigid: int,
     analysis: ModalAnalysis,
 ) -> ModalResult:
-    """The modes at an analysis' nodes, of shapes of all unknowns; observer: as `observer_of`."""
+    """Return the modes at an analysis' nodes from all unknowns; observer: as `observer_of`."""
     eigenvalues = eigenvalues[: analysis.n_modes]
     nodes, components = named_freedoms(analysis.nodes)
     shapes = observer(nodes, components) @ shapes[:, : analysis.n_modes]
@@ -114,7 +114,7 @@ def modes_at(
 def observer_of(
     campaign: Campaign, base: MatrixResult, nodes: Integers, components: Integers
 ) -> sparse.csr_array:
-    """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
+    """Return the map from all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
     seen = campaign.case.solver.deck.observation(base, nodes, components)
     unknown = np.unique(nodes[seen.unknown])
     if unknown.size:
@@ -127,7 +127,7 @@ def observer_of(
 
 
 def named_freedoms(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
-    """The degrees of freedom of a modal result at these nodes: node by node, x, y, z."""
+    """Return the degrees of freedom of a modal result at these nodes: node by node, x, y, z."""
     ordered = np.array(sorted(nodes), dtype=np.int64)
     return np.repeat(ordered, 3), np.tile(np.arange(1, 4), ordered.size)
 
@@ -144,8 +144,10 @@ class ModalSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedAround:
-    """A reduced model of the modes at a set; modes: those whose derivatives it holds; seen: nodes
-    and components of its rows."""
+    """A reduced model around a point.
+
+    modes: those whose derivatives it contains; seen: nodes and components of its rows.
+    """
 
     key: str
     of: ModalSet
@@ -155,11 +157,11 @@ class ReducedAround:
 
 @dataclass(frozen=True, slots=True)
 class SolutionAt:
-    """Modes at a set with shapes of all unknowns (n, n_modes).
+    """Modes at a point with shapes of all unknowns (n, n_modes).
 
-    energies: (n_modes,), NaN where the rounding of the matrices hides them: of rigid modes.
-    factors: those that it was found with. previous: the basis (n, r) it was found from, where
-    these are not its own.
+    energies: (n_modes,), NaN for rigid modes, whose energies are below the rounding of the
+    matrices. factors: those of the search. previous: the basis (n, r) from which the search
+    started, if the factors are not the point's own.
     """
 
     eigenvalues: Floats
@@ -172,7 +174,7 @@ class SolutionAt:
 
 @dataclass(frozen=True, slots=True)
 class FactorsAt:
-    """The set whose factors are at hand, and their shift, (rad/s)^2."""
+    """The point whose factors are in memory, and their shift, (rad/s)^2."""
 
     of: ModalSet
     shift: float
@@ -180,7 +182,7 @@ class FactorsAt:
 
 @dataclass(frozen=True, slots=True)
 class SearchStart:
-    """What a search begins with: shift, (rad/s)^2, shapes of all unknowns, factors, a basis."""
+    """The start of a search: shift, (rad/s)^2, shapes of all unknowns, factors, a basis."""
 
     shift: float
     shapes: Floats | None = None
@@ -190,7 +192,7 @@ class SearchStart:
 
 @dataclass(frozen=True, slots=True)
 class ReducedBasis:
-    """A reduced model and its basis (n, r); n_rigid: modes that are rigid; factors: its modes'."""
+    """A reduced model and its basis (n, r); n_rigid: number of rigid modes; factors: its modes'."""
 
     of: ReducedAround
     n_rigid: int
@@ -199,32 +201,32 @@ class ReducedBasis:
     vectors: Floats
 
     def shapes(self, values: Floats, n_modes: int) -> tuple[Floats, Floats]:
-        """Eigenvalues (n_modes,) and shapes of all unknowns (n, n_modes). Raises ModesError."""
+        """Return eigenvalues (n_modes,) and shapes (n, n_modes). Raises ModesError."""
         eigenvalues, combined = self.reduced.combinations(values, n_modes)
         return eigenvalues, self.vectors @ combined
 
 
 @dataclass(frozen=True)
 class StoredModel:
-    """A campaign's model as matrices, read when something is found from them."""
+    """A campaign's model as matrices, which are read when first needed."""
 
     campaign: Campaign
     source: MatrixSource
 
     @cached_property
     def matrices(self) -> ParameterMatrices:
-        """For all values; in files where they would take much of the memory that factors need."""
+        """Return the matrices of all values, in files if factors need the memory."""
         columns = range(len(self.source.parameters))
         found = self.source.last_matrices(self.campaign.start, columns)
         return found if found.n_bytes <= self.in_memory else self.in_files(found.in_files)
 
     @property
     def in_memory(self) -> float:
-        """What large arrays may take in memory, bytes."""
+        """Return the permitted size of large arrays in memory, bytes."""
         return IN_MEMORY * self.source.engine.memory_bytes
 
     def in_files(self, put: Callable[[Path], T]) -> T:
-        """What puts arrays in files of a folder; these have no names, and go with the arrays."""
+        """Return the result of `put` with arrays in unnamed files, which are freed with them."""
         files = self.source.engine.room.files()
         try:
             return put(files.folder)
@@ -232,7 +234,7 @@ class StoredModel:
             files.remove()
 
     def observer(self, nodes: Integers, components: Integers) -> sparse.csr_array:
-        """What takes shapes of all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
+        """Return the map from all unknowns to these degrees of freedom. Raises UnlikeMatrices."""
         mark = nodes.tobytes(), components.tobytes()
         if mark not in self._observers:
             base = self.matrices.base
@@ -241,19 +243,19 @@ class StoredModel:
 
     @cached_property
     def _observers(self) -> dict[tuple[bytes, bytes], sparse.csr_array]:
-        """By what they were asked for: in a large model each takes as long as some solutions."""
+        """Cache observers by request: in a large model each takes as long as several solutions."""
         return {}
 
 
 class Solutions:
-    """Solutions in memory, and found again where they have left it: the newest of each kind."""
+    """The newest solutions of each type, in memory or computed again."""
 
     def __init__(self, model: StoredModel, engine: JobEngine, shift: float) -> None:
-        """shift: where none is known, (rad/s)^2."""
+        """Set up without solutions; shift: of the first search, (rad/s)^2."""
         self.model = model
         self.engine = engine
         self.shift = shift
-        # The solver's own modes at the end show whether any was missed, so they are not counted.
+        # The solver's own modes at the end would reveal a missed one, so these are not counted.
         self._solver = ModeSolver(count=False)
         self._newest: tuple[ModalSet, SolutionAt] | None = None
         self._first: tuple[ModalSet, SolutionAt] | None = None
@@ -263,11 +265,11 @@ class Solutions:
 
     @property
     def held(self) -> str:
-        """How the factors are held, where that is not in double precision in memory."""
+        """Return where factors are kept, if not in memory in double precision."""
         return self._solver.held
 
     def modes(self, item: ModalSet) -> SolutionAt:
-        """The modes of a set with shapes of all unknowns."""
+        """Return the modes of a point with shapes of all unknowns."""
         if self._newest is not None and self._newest[0] is item:
             return self._newest[1]
         solved = self._stored(item)
@@ -284,7 +286,7 @@ class Solutions:
         return found
 
     def _stored(self, item: ModalSet) -> SolvedModes:
-        """The modes of a set; of a large model in the store, as long as others begin with them."""
+        """Return the modes of a point; a large model's are stored while searches need them."""
         if self.model.matrices.base.nodes.size < KEPT_FROM:
             return self._searched(item)
         asked: Json = {"solution": item.key}
@@ -305,7 +307,7 @@ class Solutions:
         return solved
 
     def forget(self, but: str = "") -> None:
-        """Take what is kept for others to begin with out of the store, all but the one named."""
+        """Remove stored starts of searches from the store, except the one named."""
         for key in set(self._kept) - {but}:
             self.engine.store.drop(key)
         self._kept = [but] if but else []
@@ -313,14 +315,16 @@ class Solutions:
     def assembled(
         self, item: ModalSet, begun: Callable[[], Callable[[], MatrixResult]], count: bool
     ) -> tuple[SolvedModes, tuple[Floats, int]]:
-        """Modes of the matrices that the solver assembles at a set, and of these modes energies
-        (n_modes,) and how many are rigid. begun: has it begin, and gives what waits for its end;
-        count: whether it is to be proved that none is missing, for which there may be no room.
+        """Return modes of the matrices that the solver assembles at a point.
 
-        Where the matrices differ from those of all values by the rounding of their text alone they
-        have the same modes, which are looked for while the solver is at it, if its job leaves
-        cores: the order of unknowns and the factors at hand serve. Raises ModelError where they
-        have other equations.
+        Also return their energies (n_modes,) and the number of rigid modes. begun: starts the
+        solver and returns a function that waits for its end. count: prove that no mode is missing,
+        if there is memory for it.
+
+        If the matrices differ from those of all values only by rounding in the text, they have the
+        same modes. These are computed while the solver runs, if its job leaves cores free, with the
+        existing order of unknowns and factors. Raises ModelError if the matrices have other
+        equations.
         """
         start, there = self._beginning(item), self.model.matrices.at(item.values)
         wait = begun()
@@ -344,7 +348,7 @@ class Solutions:
     def _counted(
         self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
     ) -> SolvedModes:
-        """As `_solved`, uncounted where a count has no room and may be left out."""
+        """Return `_solved`, without a count if it is optional and does not fit into memory."""
         try:
             return self._solved(item, start, here, count, beside)[1]
         except SolverExhausted as error:
@@ -354,18 +358,18 @@ class Solutions:
             return self._solved(item, start, here, False, beside)[1]
 
     def lent(self) -> ModeSolver:
-        """What solves the model, to whoever leaves other factors in it."""
+        """Lend the solver of the model to a caller that leaves other factors in it."""
         self._newest = self._factors = None
         return self._solver
 
     def _solved(
         self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
     ) -> tuple[FactorsAt | None, SolvedModes]:
-        """The factors that were at hand, and modes.
+        """Return the previous factors, and the modes.
 
-        beside: cores that are counted for it, 0 for all. PARDISO keeps to as many threads as it
-        has ordered the unknowns with: on others its factors in two levels are wrong.
-        Of what is in memory the shapes are gone after it, and other factors are at hand.
+        beside: number of cores to use, 0 for all. PARDISO must use as many threads as for the order
+        of unknowns: with another number its two-level factors are wrong. The call removes the
+        shapes from memory and replaces the factors.
         """
         self._newest = None
         with self.engine.all_cores(beside):
@@ -377,14 +381,14 @@ class Solutions:
             )
 
     def _at_hand(self, factors: FactorsAt | None, n_modes: int) -> int:
-        """For how many blocks these factors are worth being kept; made once more if need be."""
+        """Return for how many blocks to keep these factors; compute them again if necessary."""
         blocks = 0 if factors is None else self._solver.blocks_that_pay(n_modes)
         if blocks and factors is not None:
             self._hold(factors)
         return blocks
 
     def _hold(self, factors: FactorsAt) -> None:
-        """Make these the factors at hand."""
+        """Compute these factors and keep them in memory."""
         if factors != self._factors:
             there, n_modes = self.model.matrices.at(factors.of.values), factors.of.n_modes
             upper = there.upper_stiffness, there.upper_mass
@@ -392,7 +396,7 @@ class Solutions:
             self._factors = factors
 
     def basis(self, around: ReducedAround) -> ReducedBasis:
-        """A reduced model with its basis."""
+        """Return a reduced model with its basis."""
         if self._basis is None or self._basis.of is not around:
             solved, observer = self.modes(around.of), self.model.observer(*around.seen)
             own = solved.factors.of is around.of
@@ -417,7 +421,7 @@ class Solutions:
         return self._basis
 
     def _beginning(self, item: ModalSet) -> SearchStart:
-        """What a search begins with."""
+        """Return the start of a search."""
         if item.start is None:
             return SearchStart(self.shift)
         if isinstance(item.start, ModalSet):
@@ -434,7 +438,7 @@ class Solutions:
                 newest = self.engine.tasks.compute(name, lambda: (self.basis(around), ()))
                 eigenvalues, shapes = newest.shapes(item.values, item.n_modes)
             except ModesError as error:
-                logger.debug("no start from a reduced model: %s", error)
+                logger.debug("the search does not start from a reduced model: %s", error)
                 return SearchStart(self.shift)
             basis, n_rigid, factors = newest.vectors, newest.n_rigid, newest.factors
         elastic = eigenvalues[n_rigid:]
@@ -443,14 +447,13 @@ class Solutions:
 
 
 class NotCounted(Exception):
-    """Modes were found for which a count had no room."""
+    """Modes were computed, but memory did not suffice to count them."""
 
 
 class MatrixModes:
     """Modes and reduced models of one campaign's model by its stored matrices.
 
-    What they are found from follows from the order in which they are asked for, and not from what
-    the store has of them.
+    The start of each search follows from the order of requests, not from the contents of the store.
     """
 
     def __init__(self, campaign: Campaign, engine: JobEngine, source: MatrixSource) -> None:
@@ -461,7 +464,7 @@ class MatrixModes:
         self._model = StoredModel(campaign, source)
         self._matrices_key = source.key(campaign.start, columns)
         if source.jobs(campaign.start, columns):
-            _ = self._model.matrices  # what jobs left is made into the matrices at once
+            _ = self._model.matrices  # assemble the matrices from the jobs' results at once
         self._shift = first_shift(campaign)
         self._solutions = Solutions(self._model, engine, self._shift)
         self._sets: dict[tuple[float, ...], ModalSet] = {}
@@ -470,8 +473,9 @@ class MatrixModes:
         self._around: ReducedAround | None = None
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
-        """The key and the modes of a set at the analysis' nodes. Raises UnlikeMatrices where
-        their motion does not follow from the matrices' unknowns."""
+        """Return the key and the modes of a point at the analysis' nodes.
+
+        Raises UnlikeMatrices if the nodes' motion does not follow from the matrices' unknowns."""
         item = self._set(theta, analysis.n_modes)
 
         def compute() -> ModalResult:
@@ -490,12 +494,12 @@ class MatrixModes:
         job: str,
         begun: Callable[[], Callable[[], MatrixResult]],
     ) -> tuple[str, ModalResult, bool]:
-        """As `modal`, of the matrices that the solver assembles at a set, and whether counted.
+        """Return `modal` for matrices that the solver assembles at a point, and whether counted.
 
-        job: the key of its job, begun: as of `Solutions.assembled`. The search begins with the
-        modes by the matrices of all values. Factors in single precision count nothing: where the
-        campaign wants these, or has no room for others, modes are not. Raises ModelError where the
-        count says that modes are missing.
+        job: the key of its job; begun: as in `Solutions.assembled`. The search starts from the
+        modes of the matrices of all values. Factors in single precision cannot count modes: if the
+        campaign requires them, or memory is too small for others, modes are not counted. Raises
+        ModelError if the count shows that modes are missing.
         """
         start = self._newest or next(iter(self._first.values()), None)
 
@@ -524,7 +528,7 @@ class MatrixModes:
                 if counted and not solved.counted:
                     uncounted.append((solved, more))
                     raise NotCounted
-                self.engine.store.drop(job)  # as large as the model, and not asked for again
+                self.engine.store.drop(job)  # as large as the model, and not needed again
                 self._solutions.forget()
                 return modes_at(
                     self._model.observer, solved.eigenvalues, solved.shapes, *more, analysis
@@ -542,18 +546,18 @@ class MatrixModes:
             return found(counted=False)
 
     def release(self) -> None:
-        """What is kept for later searches leaves the store: there are none."""
+        """Remove the stored starts of searches when no search follows."""
         self._solutions.forget()
 
     def key(self, theta: Floats, analysis: ModalAnalysis) -> str:
-        """The key of `modal`; nothing is computed."""
+        """Return the key of `modal` without computing anything."""
         asked = _asked_modes(self._set(theta, analysis.n_modes), analysis)
         return content_key(canonical_json(asked))
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
-        """As `modal`, by the newest reduced model. Raises ModesError where it has no such modes."""
+        """Return `modal` from the newest reduced model. Raises ModesError if it lacks modes."""
         around = self._around
-        if around is None or around is not self._newest:  # it would have to be made once more
+        if around is None or around is not self._newest:  # it would have to be computed again
             return self.modal(theta, analysis)
         values = self.source.written(theta)
 
@@ -582,10 +586,10 @@ class MatrixModes:
         accuracy: float,
         tell: Callable[[int, float], None],
     ) -> tuple[str, ReducedRange]:
-        """The key and a reduced model for all these sets (n_sets, n_parameters), from an evaluation
-        point on, whose frequencies are off by `accuracy` at most, relative.
+        """Return the key and a reduced model for all these points (n_points, n_parameters).
 
-        Full solutions are in the store until the range is.
+        It begins at an evaluation point. The relative error of frequencies is at most `accuracy`.
+        The store keeps the full solutions until it has the reduced model.
         """
         self.reduced(point, analysis)
         around = self._around
@@ -604,7 +608,7 @@ class MatrixModes:
         def keep(at: Floats, solve: Callable[[], SolvedModes]) -> SolvedModes:
             if self._model.matrices.base.nodes.size < KEPT_FROM:
                 return solve()
-            # What it begins with, and so its last digits, follows from the ones before.
+            # The start, and so the last digits, follow from the previous solutions.
             one: Json = {"full solution": len(kept), "of": asked, "theta": at.tolist()}
             kept.append(content_key(canonical_json(one)))
             return self.engine.derived(one, solve, SolvedModes)
@@ -626,12 +630,12 @@ class MatrixModes:
                 )
 
         found = self._derived(asked, compute, ReducedRange, "reduced model between the bounds")
-        for key in kept:  # large, and in the range now: only one that was killed needs them
+        for key in kept:  # large, and now part of the reduced model: needed only after a kill
             self.engine.store.drop(key)
         return content_key(canonical_json(asked)), found
 
     def reduced(self, point: Point, analysis: ModalAnalysis) -> ReducedModel:
-        """The reduced model around an evaluation point, for its pairs, at the campaign's nodes."""
+        """Return the reduced model around a point, for its pairs, at the campaign's nodes."""
         item, nodes = self._set(point.theta, analysis.n_modes), self.campaign.case.nodes
         modes = point.pairing.computed + point.modal.n_rigid
         asked: Json = {
@@ -649,8 +653,10 @@ class MatrixModes:
         )
 
     def derivatives(self, point: Point, analysis: ModalAnalysis) -> ModeDerivatives | None:
-        """Exact derivatives of an evaluation point's pairs at the campaign's nodes where there are
-        more than a reduced model holds: its shapes' would be off by some per cent. Else None."""
+        """Return exact derivatives of an evaluation point's pairs at the campaign's nodes.
+
+        None unless there are more pairs than a reduced model holds, whose derivatives of shapes
+        would then be wrong by several per cent."""
         around, n = self._around, point.theta.size
         if around is None or n * around.modes.size <= MOST_FORCES:
             return None
@@ -688,16 +694,16 @@ class MatrixModes:
 
     @property
     def held(self) -> str:
-        """How the factors are held, where that is not in double precision in memory."""
+        """Return where factors are kept, if not in memory in double precision."""
         return self._solutions.held
 
     @property
     def _newest(self) -> ReducedAround | None:
-        """The reduced model that was asked for last for the first time."""
+        """Return the reduced model of the newest request that was not a repetition."""
         return next(reversed(self._reduced.values()), None)
 
     def _set(self, theta: Floats, n_modes: int) -> ModalSet:
-        """A set, with what its modes are found from."""
+        """Return a point with the start of its search."""
         values = self.source.written(theta)
         mark = (*values.tolist(), n_modes)
         if mark not in self._sets:

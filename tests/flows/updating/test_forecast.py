@@ -56,7 +56,7 @@ def test_an_empty_store_knows_no_price_and_says_so(bench: Any, watcher: Any) -> 
     first = told[0]
     assert not first.known
     assert (first.coming.jobs, first.coming.unknown) == (3, 3)  # modal, and one a parameter
-    assert "not known" in forecast_text(first)
+    assert "of unknown cost" in forecast_text(first)
     assert told_forecast(first)["first_iteration"] == {
         "jobs": 3, "jobs_of_unknown_cost": 3, "core_minutes": None, "licence_minutes": None,
         "wall_s": None,

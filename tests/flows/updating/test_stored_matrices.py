@@ -692,7 +692,7 @@ def test_matrices_at_the_end_that_are_others_are_found_out(
     assert len(late.jobs) == 3
     warnings = [entry.getMessage() for entry in caplog.records if entry.levelname == "WARNING"]
     assert warnings == [
-        "frequencies by calculix's matrices differ by 5.0e-03: its own modes are looked at"
+        "frequencies by calculix's matrices differ by 5.0e-03: using its own modes instead"
     ]
     # These agree with the matrices of all values.
     assert record.status == "converged"
