@@ -16,7 +16,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.near_names import suggestion
 from modetune.core.storage.files import check_writable
 from modetune.flows.cli.command import run_study
-from modetune.flows.cli.options import AsJson, show_progress, stoppable
+from modetune.flows.cli.options import AsJson, NoPrefect, show_progress, stoppable
 from modetune.flows.report.tables import Column, Table, json_object, show, table_of
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.result import near
@@ -41,6 +41,7 @@ def demo(
     case: Annotated[
         str, typer.Argument(help="Case: mast, garteur, six-mass, fixture or lab.")
     ] = "mast",
+    no_prefect: NoPrefect = False,
     as_json: AsJson = False,
 ) -> None:
     """Run a complete example in ./demo, and check what is known of it.
@@ -64,7 +65,7 @@ def demo(
             _identify_modes(folder)
     with stoppable():
         parameters = {"campaign_file": folder / campaign, "runs": folder / "runs"}
-        end = run_study(find_study("update"), parameters, case not in WITH_PREFECT)
+        end = run_study(find_study("update"), parameters, no_prefect or case not in WITH_PREFECT)
         run = end.found
         assert isinstance(run, CampaignRun)
         found = judge(run, folder)
