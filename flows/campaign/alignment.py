@@ -1,4 +1,4 @@
-"""How a test's points are brought into the model's axes and length, and doubts about it.
+"""Alignment of a test's points with the model's axes and length, and doubts about it.
 
 The search for a pose takes seconds, so the campaign's store keeps its result: the same points on
 the same surface give the same poses.
@@ -30,11 +30,11 @@ from modetune.flows.campaign.units import LENGTH_METRES
 
 logger = logging.getLogger(__name__)
 
-#: Increases whenever the search may give another result.
+#: Increase this number whenever the search may give another result.
 SEARCH = 2
-#: Boxes of test and model that differ by more than this factor hardly belong to one structure.
+#: If boxes of test and model differ by more than this factor, the structures probably differ.
 SIZES = 3.0
-#: A unit is tried where the test in that unit spans at least this part of the model.
+#: A unit is tried if the test in that unit spans at least this part of the model.
 LEAST_PART = 0.3
 #: Parts of the size: the residual of a fit in the right unit; the least difference between the
 #: distances from landmarks of two poses.
@@ -122,7 +122,7 @@ def _fitted(
             return Laid((by_hand,), notes=by_hand.notes)
         try:
             near = fit_similarity(points, targets, scale) if len(points) > 2 else None
-        except ModesError:  # on one line: they choose among poses all the same
+        except ModesError:  # on one line, but still able to choose among poses
             near = None
         points_of_test, nodes, corners = geometry.coordinates, mesh.coordinates, facets(mesh)
         surface = cache(lambda: SurfacePoints.of(corners))
@@ -143,7 +143,7 @@ def _fitted(
             f"the test cannot be aligned with the model: {error}; give `scale`, `rotation` and "
             "`translation` instead of a fit"
         ) from error
-    if near is not None and found.slides > tolerance:  # landmarks are better than the surface
+    if near is not None and found.slides > tolerance:  # landmarks are safer than the surface
         away = surface().closest(near.apply(geometry.coordinates)).distances
         found = Registration(replace(near, residuals=away, used=np.ones(away.size, bool)))
     size = diagonal(found.best.apply(geometry.coordinates))

@@ -1,9 +1,9 @@
 """Assignment of each sensor of a test to a node and a direction of the model.
 
-Three steps, each of which can refuse: the test's points are brought into the model's axes and
-length (`alignment`), each sensor takes the nearest node within a tolerance, and its direction is
-turned into the axes in which the model has its results at that node. Without coordinates a sensor
-is the model's node of the same number, along the axes of that node's results.
+There are three steps, each of which can refuse the test: the test's points are transformed to the
+model's axes and length (`alignment`), each sensor takes the nearest node within a tolerance, and
+its direction is rotated into the axes of the model's results at that node. Without coordinates a
+sensor is the model's node of the same number, along the axes of that node's results.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ REASONS = 20
 MOST = 100_000
 #: Largest distance of a sensor from its node, as a part of the model's box diagonal.
 TOLERANCE = 0.02
-#: A second node whose extra distance is at most this part of the distance is as near.
+#: A second node counts as equally near if its extra distance is at most this part of the distance.
 AS_NEAR = 0.1
-#: Test points of one node that each is compared with, and that a message names.
+#: Number of test points of one node that are compared with each other and named in a message.
 COMPARED = 8
-#: Test points nearer than this part of the tolerance are in one place.
+#: Test points closer than this part of the tolerance have the same position.
 ONE_PLACE = 0.05
 
 
@@ -234,7 +234,7 @@ class _Mapper:
         for pose in laid.poses[1:]:
             try:
                 other = self._at_pose(geometry, pose, pose.residuals, ())
-            except CampaignError:  # a pose whose sensors find no nodes is none
+            except CampaignError:  # ignore poses whose sensors find no nodes
                 continue
             if np.array_equal(other.rows, best.rows):
                 others.append(other)
@@ -266,7 +266,7 @@ class _Mapper:
         places = laid[rows]
         places[~np.isin(points, geometry.nodes)] = np.nan
         size = diagonal(places[np.isfinite(places).all(axis=1)])
-        if 0.0 < size < self.tolerance:  # shrunk onto one place, where all would find a node
+        if 0.0 < size < self.tolerance:  # shrunk to a point, where all would find a node
             raise CampaignError(
                 [
                     f"all sensors are within {self.length(size)}, less than the tolerance "

@@ -1,17 +1,17 @@
-"""Which matrix jobs determine the effect of every parameter on stiffness and mass matrices.
+"""The matrix jobs that determine the effect of every parameter on stiffness and mass.
 
-A parameter in which the matrices are a sum of powers needs as many models besides the base as it
-has powers: one for Young's modulus, density or a spring, some for a thickness. Parameters whose
-elements share no node touch different entries, so one job can move several of them at once, and so
-can a modulus and a density, which move different matrices. The columns are coloured accordingly
-(greedily, those with the most neighbours first: Welsh and Powell 1967), a job a colour and power:
-ten moduli of a structure's parts take two or three jobs, not ten. Where the parameters' elements
-are the whole model, the stiffness is the sum of their parts, and the largest colour is what the
-others leave of it: one job less.
+A parameter in which the matrices are a sum of powers needs as many models, in addition to the base,
+as it has powers: one for Young's modulus, density or a spring, several for a thickness. Parameters
+whose elements share no node change different entries, so one job can change several of them; so can
+a modulus and a density, which change different matrices. The columns are coloured accordingly
+(greedily, those with the most neighbours first: Welsh and Powell 1967), with one job per colour and
+power: ten moduli of a structure's parts take two or three jobs, not ten. If the parameters'
+elements are the whole model, the stiffness is the sum of their parts. The largest colour is then
+the remainder after all others, which saves a job.
 
-Where the matrices are not a sum of powers of a parameter (Poisson's ratio), or two parameters scale
-the same thing together, the plan is for one set of values. There a parameter without powers takes
-two pairs of models close to the set, 1 + s and 1 / (1 + s), and one twice as wide.
+If the matrices are not a sum of powers of a parameter (Poisson's ratio), or two parameters scale
+the same quantity together, the plan is for one point. A parameter without powers then takes two
+pairs of models close to the point: one at 1 + s and 1 / (1 + s), and one twice as wide.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from modetune.flows.campaign.solvers import untested_capabilities
 #: Factor on a parameter in which the matrices are linear. Any factor is exact, and a large one is
 #: most accurate, as stored matrices are text with few digits.
 LINEAR_FACTORS = (2.0,)
-#: Factors on others, spread like Chebyshev's points between 1/2 and 2.
+#: Factors on other parameters, spread like Chebyshev points between 1/2 and 2.
 FACTORS = (0.55, 0.75, 1.4, 1.9, 0.65, 1.65)
 
 
@@ -38,8 +38,8 @@ FACTORS = (0.55, 0.75, 1.4, 1.9, 0.65, 1.65)
 class Sampling:
     """How one parameter is sampled.
 
-    affected: elements that it changes, None where unknown. powers: of its value, empty where the
-    matrices are not a sum of them. factors: on the parameter, one model each.
+    affected: elements that it changes, None if unknown. powers: of its value, empty if the matrices
+    are not a sum of powers. factors: on the parameter, one model each.
     """
 
     affected: AffectedElements | None
@@ -63,8 +63,8 @@ class Sample:
 class MatrixPlan:
     """The models whose matrices are stored.
 
-    base: parameter values of the model that the others differ from. rest: columns whose parts are
-    the base less those of all others.
+    base: parameter values of the reference model. rest: columns whose parts are the remainder of
+    the base after all others.
     """
 
     base: tuple[float, ...]
@@ -86,7 +86,7 @@ def sampling(solver: Solver, parameter: Parameter, step: float) -> Sampling:
         ends = (parameter.upper / parameter.initial, parameter.lower / parameter.initial)
         factors = (max(ends, key=lambda factor: abs(factor - 1.0)),)
     if affected is not None and not (affected.stiffness or affected.mass):
-        factors = ()  # of damping alone
+        factors = ()  # affects damping only
     return Sampling(affected, powers, factors)
 
 
@@ -130,7 +130,7 @@ def scale_together(one: tuple[Parameter, Sampling], other: tuple[Parameter, Samp
 
 
 def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method) -> str | None:
-    """Return why modes cannot be computed from stored matrices, None where they can."""
+    """Return why modes cannot be computed from stored matrices; None if they can."""
     if not solver.offers.matrix_modes:
         why = untested_capabilities(solver) if solver.program.capabilities.matrix_modes else ""
         return why or f"{solver.program.name} does not export matrices"

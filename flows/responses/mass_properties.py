@@ -115,7 +115,7 @@ class MassSection(ResponseSection):
     def problems(self, given: TestedModel) -> Iterator[tuple[Place, str]]:
         for name in self.targets:
             if name != "mass" and not given.deck.mesh().nodes.size:
-                yield (name,), "the model has no places, and so a mass alone: leave this out"
+                yield (name,), "the model has no coordinates, and so only a mass: leave this out"
 
     def response(self, given: TestedModel) -> MassResponse:
         targets = {name: self.targets[name] for name in MASS_QUANTITIES if name in self.targets}

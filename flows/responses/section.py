@@ -62,7 +62,7 @@ def section_problems(
     for item in errors:
         place = item["loc"]
         if any(len(other) > len(place) and other[: len(place)] == place for other in places):
-            continue  # a problem inside also causes this one
+            continue  # a problem inside it also causes this one
         said, given = item["msg"].removeprefix("Value error, "), item["input"]
         if item["type"] == "extra_forbidden":
             near = suggestion(str(place[-1]), _keys(section, place[:-1]))

@@ -144,7 +144,7 @@ def test_what_cannot_be_is_told_with_file_and_line(tmp_path: Path, mass: str, sa
 
 def test_a_centre_of_matrices_is_refused_with_its_line(tmp_path: Path) -> None:
     file = chain_file(tmp_path, "{limits: [4.3, 4.7]}\n    centre_x: {limits: [0, 1]}")
-    with pytest.raises(CampaignError, match=r"chain.yaml, line 10.*no places, and so a mass alone"):
+    with pytest.raises(CampaignError, match=r"chain.yaml, line 10.*no coordinates, and so only a mass"):
         load_campaign(file)
 
 
@@ -218,7 +218,7 @@ def test_a_weighing_tells_thicknesses_of_shells_by_calculix(tmp_path: Path, held
     ended = run_command(tmp_path, "update", "part.yaml", "--json")
     if held:
         assert ended.returncode != 0
-        assert "supports hold the rest" in " ".join(ended.stderr.split())
+        assert "supports hold the remaining mass" in " ".join(ended.stderr.split())
         return
     assert ended.returncode == 0, ended.stderr
     updated = [item["updated"] for item in json.loads(ended.stdout)["parameters"]]
