@@ -12,7 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import h5py
+
 from modetune.core.brief import brief
+from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, mode_name
 from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.storage.sealed_file import RecordFile
@@ -109,4 +112,15 @@ def mode_names(numbers: Sequence[int], configurations: Sequence[str]) -> tuple[s
     return tuple(map(mode_name, numbers, configurations or [""] * len(numbers)))
 
 
-SCREENING = RecordFile(Screening, "screening", "screening.h5", 7)
+def _without_interactions(file: h5py.File) -> None:
+    """Change the content of format 6 into that of 7, which has no factorials. Raises CampaignError
+    for one of these."""
+    if file["design"].attrs["method"] == "factorial":
+        raise CampaignError(
+            "factorial screenings are read by modetune 0.1 only; use morris or sobol"
+        )
+    if "indices" in file:
+        del file["indices/interactions"]
+
+
+SCREENING = RecordFile(Screening, "screening", "screening.h5", 7, {6: _without_interactions})

@@ -144,7 +144,9 @@ def test_what_cannot_be_is_told_with_file_and_line(tmp_path: Path, mass: str, sa
 
 def test_a_centre_of_matrices_is_refused_with_its_line(tmp_path: Path) -> None:
     file = chain_file(tmp_path, "{limits: [4.3, 4.7]}\n    centre_x: {limits: [0, 1]}")
-    with pytest.raises(CampaignError, match=r"chain.yaml, line 10.*no coordinates, and so only a mass"):
+    with pytest.raises(
+        CampaignError, match=r"chain.yaml, line 10.*no coordinates, and so only a mass"
+    ):
         load_campaign(file)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import h5py
 import numpy as np
 import pytest
 from rich.console import Console
@@ -17,6 +18,8 @@ from modetune.adapters.solver import Analysis, ModalAnalysis, Solver
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats
 from modetune.core.parameters import Values
+from modetune.core.storage.codec import write_value
+from modetune.core.storage.sealed_file import sealed
 from modetune.core.updating.job_results import ModalResult, Result
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.runner import PoolRunner, Task, TaskRun
@@ -276,6 +279,27 @@ def test_a_screening_is_read_as_it_was_written_shown_and_drawn(
     assert all(name in shown for name in found.names)
     for figure in save_all(screening_charts(again), tmp_path / "figures"):
         assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_record_of_format_6_is_read_unless_it_is_a_factorial(
+    bench: Bench, tmp_path: Path
+) -> None:
+    found = screened(bench.campaign({"k1": 1.3, "k3": 0.9}, modes=(1, 2)), "lhs", points=8)
+    path = tmp_path / "screening.h5"
+
+    def stored(method: str) -> None:
+        def older(file: h5py.File) -> None:
+            write_value(file, found)
+            file["indices/interactions"] = np.zeros((0, 0, 0))
+            file["design"].attrs["method"] = method
+
+        path.write_bytes(sealed(f"{SCREENING.title}6", older))
+
+    stored("lhs")
+    assert summary(SCREENING.read(path)) == summary(found)
+    stored("factorial")
+    with pytest.raises(CampaignError, match="factorial screenings are read by"):
+        SCREENING.read(path)
 
 
 def test_every_damage_to_the_record_is_refused_before_hdf5_sees_it(
