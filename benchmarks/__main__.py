@@ -2,12 +2,12 @@
 
     python -m benchmarks [--rows peer-coarse e2] [--rounds 1] [--large] [--quick] [--profile]
 
-Each row is a ratio or a time with what it was made of (rows.py); a row that fails is told, and the
-others go on. --large takes the launcher of a million degrees of freedom and the aircraft of 1.5
-million equations, --quick the smallest models and, where a row has no target of its own, one that
-is soon met: that shows that everything runs, and no speed.
---profile adds where the time of modetune's campaigns went. The last line of the output is one JSON
-object. Code 1: a row has failed.
+Each row is a ratio or a time, with the values it is computed from (rows.py). If a row fails, the
+error is printed and the others continue. --large uses the launcher with a million degrees of
+freedom and the aircraft with 1.5 million equations. --quick uses the smallest models and a target
+that is soon met, unless a row has its own: it shows that everything runs, but not the speed.
+--profile adds the time spent in each part of modetune's campaigns. The last line of the output is
+one JSON object. Exit code 1: a row has failed.
 """
 
 from __future__ import annotations
@@ -30,14 +30,16 @@ from modetune.core.errors import ModetuneError
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure the rows asked for, and print them as Markdown and JSON."""
+    """Measure the requested rows and print them as Markdown and JSON."""
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__.partition("\n")[0])
     names = [row.name for row in ROWS]
     parser.add_argument("--rows", nargs="+", choices=names, default=names, metavar="ROW")
-    parser.add_argument("--rounds", type=int, default=1, help="of all rows; medians are told")
+    parser.add_argument("--rounds", type=int, default=1, help="of all rows; prints medians")
     parser.add_argument("--large", action="store_true", help="the largest models, 20 minutes more")
     parser.add_argument("--quick", action="store_true", help="the smallest models")
-    parser.add_argument("--profile", action="store_true", help="where modetune's time went")
+    parser.add_argument(
+        "--profile", action="store_true", help="print the time in parts of modetune"
+    )
     parser.add_argument(
         "--server",
         choices=get_args(ServerUse),

@@ -1,14 +1,14 @@
-"""How often a test in axes of its own is laid over its model rightly, and how exactly.
+"""How often, and how accurately, a test in its own axes is aligned with its model.
 
     python -m benchmarks.alignment [--poses 30] [--only bracket]
 
-A bracket with a rib (tetrahedra by gmsh), a plate with ribs (shells), a frame (beams) and the
-GARTEUR aircraft (shells), each with 24, 60 and 150 sensors in random poses, test lengths in metres
-and the scale known. Sensors are at nodes, all over the surface (of shells and beams on them), or
-measured by tape (1 % of the structure's size). A pose is right where the sensors' places are:
-within 1e-3 of their spacing where they are exact, within 3 % of the size by tape. Prints a table in
-Markdown: "asked" are several poses that were told, "slide" places off by no more than what was
-told to be open. What was not right stands on standard error.
+The structures are a bracket with a rib (tetrahedra by gmsh), a plate with ribs (shells), a frame
+(beams) and the GARTEUR aircraft (shells), each with 24, 60 and 150 sensors in random poses, test
+lengths in metres and a known scale. Sensors are at nodes, anywhere on the surface, or measured by
+tape (within 1 % of the structure's size). A pose is right if all sensor positions are: within 1e-3
+of their spacing if exact, within 3 % of the size by tape. The command prints a Markdown table:
+"asked" counts fits that reported several poses, "slide" those whose positions are off by no more
+than the reported uncertainty. Wrong fits are listed on standard error.
 """
 
 from __future__ import annotations

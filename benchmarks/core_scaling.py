@@ -82,7 +82,7 @@ def box(n_unknowns: int, n_masters: int) -> Box:
 
 
 def slabs(stiffness: sparse.csr_array) -> list[tuple[sparse.csr_array, sparse.csr_array]]:
-    """The stiffness of 50 slabs by themselves, and no mass."""
+    """Return the stiffness of 50 slabs, each alone, without mass."""
     n = stiffness.shape[0]
     nothing, slab = sparse.csr_array((n, n)), np.arange(n) * N_PARAMETERS // n
     found = []

@@ -1,15 +1,15 @@
-"""What becomes of Nastran decks: read, written back, run by MYSTRAN and by CalculiX.
+"""A survey of Nastran decks: reading, writing back, runs by MYSTRAN and CalculiX.
 
     python -m benchmarks.corpus [FOLDERS]      decks below folders, those of the shared data if none
     python -m benchmarks.corpus --cards        one small deck a card (card_decks.py)
 
-prints a row a deck (Markdown): whether it is read, whether it is written back byte for byte, how
-many modes each solver gives or the first reason why it gives none, and the largest difference of
-the reference's first four elastic frequencies from the nearest that is computed (some have torsion
-of bars that others do not, so that modes in order are not the same): the reference is the OP2 or
-F06 file beside the deck where there is one with modes, else MYSTRAN. `--json FILE` keeps the rows,
-`--counts` prints the sums alone. What is outside linear structural dynamics is told from the cards
-(outside.py), and counted apart.
+prints a Markdown row per deck: whether it is read, whether it is written back byte for byte, the
+number of modes from each solver or the first reason for having none, and the largest difference of
+the reference's first four elastic frequencies from the nearest computed one. (Some programs include
+torsion of bars and others do not, so the order of modes differs.) The reference is the OP2 or F06
+file next to the deck if it has modes, otherwise MYSTRAN. `--json FILE` writes the rows, `--counts`
+prints only the sums. Decks outside linear structural dynamics are recognised by their cards
+(outside.py) and counted separately.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from modetune.core.modes import Floats
 from modetune.core.parameters import Parameter
 from modetune.core.updating.job_results import ModalResult
 
-#: Modes asked for; fewer where the model has fewer.
+#: Number of requested modes; a small model has fewer.
 MODES = (10, 6, 4, 2, 1)
-#: Elastic modes that are compared.
+#: Number of compared elastic modes.
 COMPARED = 4
-#: Of the largest frequency: what is below is a rigid mode, of a solver that does not tell them too.
+#: Modes below this part of the largest frequency are rigid, if the solver does not mark them.
 RIGID = 1e-4
-#: Nodes whose shapes are asked for, to see that they are read.
+#: Number of nodes with requested shapes, to check that shapes are read.
 NODES = 3
 TIMEOUT_S = 120.0
-#: Of the message about a model that has no modes.
+#: Part of the message about a model that has no modes.
 MASSLESS = "nothing in the model has mass"
 SUFFIXES = (".bdf", ".dat", ".nas")
 BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
@@ -63,7 +63,7 @@ BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What became of a deck. A solver's column holds a number of modes, or the reason."""
+    """The outcome of a deck. A solver's column has the number of modes, or the reason for none."""
 
     deck: str
     read: str
@@ -75,17 +75,17 @@ class Row:
 
     @property
     def runs(self) -> bool:
-        """Whether a solver gives modes."""
+        """Return whether a solver gives modes."""
         return self.mystran.isdecimal() or self.calculix.isdecimal()
 
     @property
     def massless(self) -> bool:
-        """Whether there is nothing that has modes."""
+        """Return whether the model has no modes because it has no mass."""
         return MASSLESS in self.mystran
 
 
 def decks_below(folder: Path) -> list[Path]:
-    """Main decks below a folder: what another one includes has no BEGIN BULK of its own."""
+    """Return the main decks below a folder: included files have no BEGIN BULK."""
     found = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
     return [path for path in found if b"BEGIN" in path.read_bytes().upper()]
 
@@ -139,7 +139,7 @@ def solve(solver: Solver, folder: Path) -> Floats:
 
 
 def reference(path: Path) -> Floats:
-    """Frequencies in Hz of the OP2 or F06 file beside a deck, (0,) where there is none."""
+    """Return frequencies in Hz from the OP2 or F06 file next to a deck, (0,) without one."""
     for other in sorted(path.parent.iterdir()):
         if other.stem.lower() != path.stem.lower():
             continue

@@ -1,8 +1,8 @@
-"""What a command costs: wall time, processor time, memory of its whole process tree, CalculiX runs.
+"""The cost of a command: wall time, processor time, memory of its process tree, CalculiX runs.
 
-Memory is the largest sum of resident sizes over the command and all its descendants, looked at 20
-times a second in /proc; pages that processes share count in each. Runs are counted by a shell
-script that stands in for `ccx`, and notes what kind of job it is given and how long it took.
+Memory is the largest sum of resident sizes over the command and all its descendants, sampled 20
+times a second from /proc; shared pages count in each process. Runs are counted by a shell script in
+place of `ccx`, which records the type and duration of each job.
 """
 
 from __future__ import annotations
@@ -141,13 +141,13 @@ def tree_bytes(root: int) -> int:
             for task in (place / "task").iterdir():
                 left += map(int, (task / "children").read_text().split())
         except (OSError, IndexError):
-            continue  # it ended while it was looked at
+            continue  # it ended while its files were read
     return total
 
 
 @contextmanager
 def watched(root: int) -> Iterator[list[int]]:
-    """The largest `tree_bytes` meanwhile, the one number of the list."""
+    """Yield a list whose only entry is the largest `tree_bytes` so far."""
     ended, peak = threading.Event(), [0]
 
     def watch() -> None:

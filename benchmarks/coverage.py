@@ -1,17 +1,17 @@
-"""Updates many twins whose truth is known, and counts what their verdicts say.
+"""Updates of many twins with known truth, and counts of their verdicts.
 
     python -m benchmarks.coverage [--twins 200] [--exact 500] [--structures six_mass chain_18]
 
-Noisy twins: parameters are drawn as uncertain as the campaign says they are, frequencies and shapes
-as uncertain as it says they were measured, and all else is left at its default. A line a structure
-shows the share of printed 95 % intervals (the value plus and minus 1.96 standard errors) that
-contain the truth: the least and the most of any parameter, and the mean. Then come the shares of
-updates that ended where they began, that suspect a model-form error, which no structure has, and
-that withhold their errors; and of the p-values of the test for a model-form error the Kolmogorov
-distance from even ones, and the share below 0.01.
+Noisy twins: parameters, frequencies and shapes are drawn with the deviations that the campaign
+states; everything else has its default. A line per structure shows the share of printed 95 %
+intervals (the value plus and minus 1.96 standard errors) that contain the truth: the lowest and
+highest of any parameter, and the mean. Then it shows the shares of updates that ended at the start,
+that suspect a model-form error (no structure has one), and that withhold standard errors. Last are
+two figures of the p-values of the test for a model-form error: the Kolmogorov distance from a
+uniform distribution, and the share below 0.01.
 
-Exact twins: how many came to the truth, were called trusted elsewhere, and were accused. Structures
-with modes at one frequency are among them.
+Exact twins: the shares of twins that reached the truth, that ended elsewhere but were called
+trusted, and that were suspected of a model-form error. Some structures have repeated modes.
 
 Every model is matrices, solved in this process without a store: a twin takes a few hundredths of a
 second. The aircraft is the coarse one of configs/garteur, reduced to the unknowns of its sensors
@@ -58,11 +58,11 @@ from modetune.flows.updating.mode_source import CaseState, campaign_analysis
 from modetune.flows.updating.reduced_model import ReducedModes
 from modetune.flows.updating.update import Updating
 
-#: Standard errors beside the value that hold the truth in 95 of 100 cases.
+#: Half width, in standard errors, of an interval that contains the truth in 95 of 100 cases.
 INTERVAL = 1.96
-#: Of the true values of twins, relative to the deck; half of the default deviation.
+#: Standard deviation of the true values of twins, relative to the deck: half the default deviation.
 SCATTER = 0.1
-#: An exact twin's parameters are found where they are within this of the truth.
+#: An exact twin reached the truth if its parameters are within this of it.
 FOUND = 1e-3
 
 
@@ -142,17 +142,17 @@ def aircraft(rng: Generator) -> Structure:
     return structure("aircraft", model, list(parts), 8)
 
 
-#: What noisy twins are made of, and whether shapes count beside frequencies.
+#: Structures of noisy twins, and whether shapes are compared in addition to frequencies.
 NOISY: dict[str, tuple[Callable[[Generator], Structure], bool]] = {
     "six_mass": (six_mass, False),
     "chain_18": (chain_18, True),
     "aircraft": (aircraft, False),
 }
-#: Share of the last eigenvalue below which one is rounding.
+#: Eigenvalues below this share of the largest one are rounding.
 ROUNDING = 1e-7
-#: Other starts, which updates try of models of matrices, cost ten times what one does.
+#: Other starts, which updates of matrix models try, take ten times as long as one.
 ALONE: dict[str, Any] = {"starts": 1}
-#: What exact twins are made of, each of a structure of its own.
+#: Structures of exact twins, each with a different structure.
 EXACT = ("chain", "mechanism", "polar_masses", "assembly")
 
 
@@ -280,7 +280,7 @@ def noisy_twins(name: str, n: int, seed: int, settings: dict[str, Any]) -> list[
         for place in range(n):
             try:
                 twins.append(update_twin(model, seed + place, noise=True))
-            except LostMode as error:  # a mode that no computed one resembles is refused, and told
+            except LostMode as error:  # refused: no computed mode resembles a measured one
                 sys.stderr.write(f"{name}, twin {seed + place}, is refused: {error}\n")
         return twins
 

@@ -1,9 +1,9 @@
-"""Campaigns that are killed at random moments and run again until they end, as often as asked.
+"""Campaigns that are killed at random moments and run again until they finish.
 
-A small campaign on CalculiX runs undisturbed, twice. Then it is killed: its process alone, at one
-blow with its solvers and their supervisors, or a solver alone; and run again on the same store,
-until it ends. What must hold: no solver run of a job whose result the store had, no process left
-ten seconds after a kill, and a record of the same bits.
+A small campaign on CalculiX first runs undisturbed, twice. Then its process is killed, alone or
+together with its solvers and their supervisors, or only a solver is; the campaign runs again on the
+same store until it finishes. Three conditions must hold: no solver run of a cached job, no process
+left ten seconds after a kill, and a bit-identical record.
 
 Runs are forks of this process, which has the packages loaded.
 """
@@ -31,7 +31,7 @@ from modetune.flows.jobs.prefect_server import HOME_VARIABLE, shared_server, sto
 
 #: In the environment of every process of one benchmark.
 MARK = "MODETUNE_KILLS_MARK"
-#: Seconds after a kill in which what it leaves must have ended.
+#: Seconds within which all remaining processes must end after a kill.
 GRACE_S = 10.0
 #: Each attempt is killed within this share of an undisturbed run's time, if it lasts so long.
 SHARE = 0.7
@@ -117,7 +117,7 @@ class Field:
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder = folder
         self.random = np.random.default_rng(seed)
-        # In a process of its own: campaigns would share the supervisors that it starts, which then
+        # In a separate process: campaigns would share the supervisors that it starts, which then
         # outlive them.
         pid = os.fork()
         if not pid:
@@ -137,7 +137,7 @@ class Field:
         }
 
     def kill(self, kind: str, count: int) -> Found:
-        """Kill campaigns of a kind so many times."""
+        """Kill campaigns of one type; count: number of kills."""
         with self._served() if kind in SERVED else nullcontext():
             return self._killed(kind, count)
 
@@ -168,7 +168,7 @@ class Field:
         return found
 
     def _undisturbed(self, kind: str, turn: int, found: Found) -> tuple[Path, float]:
-        """The record of a run that nobody kills, and its seconds; of a second one the same."""
+        """Return the first record of two undisturbed runs and the time of the second, seconds."""
         command, records, seconds = KINDS[kind][turn], [], 0.0
         for name in ("first", "second"):
             place = self.folder / f"{kind}-{turn}-{name}"
@@ -243,7 +243,7 @@ class Field:
         assert code in (0, 3), f"it ended with code {code}; look at the logs in {self.folder}"
 
     def _waits(self, pid: int, seconds: float, solving: bool) -> bool:
-        """Whether a process ends within so many seconds, and until a solver runs, if it has to."""
+        """Return whether a process ends within these seconds, after a solver runs if required."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline or (solving and not self._processes(solving=True)):
             done, status = os.waitpid(pid, os.WNOHANG)

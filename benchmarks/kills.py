@@ -1,11 +1,11 @@
 """Processes killed under campaigns: by matrices, by the solver, as flows, in studies, deployed.
 
 Campaigns, screenings and samplings are killed at random moments and run again
-(`benchmarks/killed_campaigns`). Deployed ones go in rounds: each starts a worker and a run that is
-under way, kills what the round is named for, starts another worker and waits: the run must be known
-to have crashed within a minute, its slot be free, the next run that is due start, once, and come to
-its end. Where the server alone is killed, the run itself must come to its end. The first round that
-does not hold ends the benchmark.
+(`benchmarks/killed_campaigns`). Deployed campaigns are killed in rounds. Each round starts a worker
+and a run, kills the processes that the round is named after, starts another worker and waits.
+Within a minute the run must be marked as crashed and its slot be free; the next run that is due
+must start once and finish. If only the server is killed, the run itself must finish. The first
+round that violates a condition ends the benchmark.
 
     python -m benchmarks.kills [--matrices 100] [--solver 100] [--flow 50] [--screening 50]
                                [--sampling 50] [--studies 45] [--rounds 20] [--seed 1]
@@ -22,7 +22,7 @@ from pathlib import Path
 from benchmarks.killed_campaigns import KINDS, Field
 from tests.flows.server.site import ENDED, GOOD, RUN, SERVER, WORKER, Site, stop
 
-#: What is killed at one blow, in turn.
+#: Processes to kill together, in turn.
 BLOWS = {
     "run": (RUN,),
     "machine, server elsewhere": (WORKER, RUN),
@@ -31,14 +31,14 @@ BLOWS = {
 }
 
 
-#: Kills of each kind unless told.
+#: Default number of kills of each type.
 COUNTS = {
     "matrices": 100, "solver": 100, "flow": 50, "screening": 50, "sampling": 50, "studies": 45,
 }  # fmt: skip
 
 
 def main() -> None:
-    """Kill, and tell what came of it; ends with code 1 where something is not as it must be."""
+    """Kill campaigns and print the outcomes; exit with code 1 if a condition is violated."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     for kind in KINDS:
         parser.add_argument(f"--{kind}", type=int, default=COUNTS[kind])
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def killed(kind: str, count: int, folder: Path, seed: int) -> bool:
-    """Kill campaigns of a kind so many times; whether all was as it must be."""
+    """Kill campaigns of one type repeatedly; return whether all conditions held."""
     began = time.monotonic()
     folder.mkdir()
     found = Field(folder, seed).kill(kind, count)

@@ -1,4 +1,4 @@
-"""gmsh for a while, its handling of signals undone."""
+"""A temporary gmsh session, with its signal handling undone."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 @contextmanager
 def gmsh_model() -> Iterator[Any]:
-    """The module `gmsh`, its model empty.
+    """Yield the module `gmsh` with an empty model.
 
-    gmsh gives SIGPIPE back to the system, whose way is to end a process that writes to whom
-    nobody listens any more; Python ignores it and raises BrokenPipeError.
+    gmsh restores the system's handling of SIGPIPE, which ends a process that writes to a closed
+    pipe; Python ignores the signal and raises BrokenPipeError.
     """
     import gmsh
 

@@ -1,8 +1,8 @@
-"""Spoilt input by the ten thousand: how often each reader refuses, and whether any breaks.
+"""Tens of thousands of corrupted inputs: how often each reader refuses, and whether any crashes.
 
-The kinds, the mutations and what counts as broken are those of tests/mutations.py: an exception
-that is not ours, a sentence that is empty, a signal, more than 20 s or 2 GB. Readings are done in
-processes of their own, so that a crash of one is told too. Faults are kept as files.
+File types, mutations and the definition of a fault are those of tests/mutations.py: an exception
+that is not modetune's, an empty message, a signal, more than 20 s or 2 GB. Files are read in
+separate processes, so that crashes are reported too. Inputs that cause faults are kept as files.
 
     python -m benchmarks.mutations [--count 1000] [--seed 2] [--kinds campaign OP2]
 """
@@ -21,12 +21,12 @@ from pathlib import Path
 
 from tests.mutations import KINDS, mutated, peak_memory, read_all
 
-#: Mutations that one process reads.
+#: Number of mutations that one process reads.
 SLICE = 200
 
 
 def main() -> None:
-    """Mutate every kind and tell how the readings ended."""
+    """Mutate every file type and print how reading ended."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=1000, help="Of each kind.")
     parser.add_argument("--seed", type=int, default=2)
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def _slice(name: str, seed: int, numbers: range) -> Counter[str]:
-    """How the readings of some mutations ended, each fault told."""
+    """Return how reading of some mutations ended; print each fault."""
     ends: Counter[str] = Counter()
     folder = Path(tempfile.mkdtemp(prefix="modetune-mutations-"))
     todo = list(numbers)
@@ -84,7 +84,7 @@ def mutated_file(name: str, seed: int, number: int) -> bytes:
 
 
 def _read(name: str, folder: Path, seed: int, numbers: list[int], tell: int) -> None:
-    """In a process of its own: one line for each reading."""
+    """Print one line for each reading; runs in a separate process."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("error")  # as in the tests
     os.nice(5)

@@ -1,4 +1,4 @@
-"""What in a deck is no matter of linear structural dynamics, told from its cards and statements."""
+"""Recognition of decks outside linear structural dynamics, by cards and statements."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What Prefect costs: of a job beside its solver, and of a whole command.
+"""The cost of Prefect: per job in addition to its solver, and per command.
 
 A program that does nothing runs a thousand times, two at a time: by a bare ThreadPoolExecutor with
 subprocess.run; by the same below modetune's supervisor; by the job engine with its store on a plain
 pool; as tasks of a Prefect flow; and by the workers of a Dask cluster, without and with Prefect.
-Each line gives milliseconds of a job, and the difference from the bare pool. The server's CPU time
-of a task has a line of its own.
+Each line gives milliseconds per job, and the difference from the bare pool. Another line gives the
+server's CPU time per task.
 
 Then commands, medians of five in turn: a process with a flow of one task, and six masses whose
 results are all in the store, on the shared server and with `--no-prefect`.
@@ -87,7 +87,7 @@ class NothingProgram(ScriptedProgram):
 
 
 def bare(count: int, parallel: int) -> None:
-    """The pool that everybody writes first."""
+    """Run jobs on a bare thread pool."""
 
     def run(_: int) -> None:
         subprocess.run([PROGRAM], check=True, stdin=subprocess.DEVNULL, capture_output=True)
@@ -97,7 +97,7 @@ def bare(count: int, parallel: int) -> None:
 
 
 def supervised(count: int, parallel: int, folder: Path) -> None:
-    """The same with nothing left behind however this process ends."""
+    """Run the same jobs below supervisors, which leave no process behind."""
     never = threading.Event()
 
     def run(number: int) -> None:

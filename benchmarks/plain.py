@@ -1,7 +1,7 @@
 """Runs of CalculiX on a problem's model, with nothing around them.
 
-The deck is written and the results are read by modetune's adapter; each run has a folder of its
-own, which is deleted, and nothing is stored.
+The deck is written and the results are read by modetune's adapter; each run has its own
+folder, which is deleted, and nothing is stored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.job_results import ModalResult, Result
 
-#: More modes are asked for where they are paired by shape and may change places.
+#: Additional requested modes if modes are paired by shape and may change places.
 SPARE_MODES = 2
 TIMEOUT_S = 36_000.0
 EQUATIONS = re.compile(r"number of equations\s+(\d+)")
@@ -40,7 +40,7 @@ def cores() -> int:
 @dataclass(frozen=True, slots=True)
 class JobCost:
     """solver_s, read_s: wall times of CalculiX and of reading what it left. peak_bytes: its memory.
-    n_equations: as it tells, 0 where it does not."""
+    n_equations: as printed, 0 if CalculiX does not print it."""
 
     solver_s: float
     read_s: float

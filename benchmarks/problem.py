@@ -27,21 +27,21 @@ from modetune.core.correlation.pairing import pair_by_shape
 from modetune.core.modes import Floats, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
 
-#: Deviations and emphasis as campaigns have them unless told otherwise.
+#: Default deviations and weights of campaigns.
 FREQUENCY_DEVIATION = 0.002
 SHAPE_DEVIATION = 0.05
 SHAPE_WEIGHT = 0.1
 #: Lowest MAC of a model that agrees.
 LEAST_MAC = 0.9
-#: Largest relative frequency error of a model that agrees, unless told otherwise.
+#: Default largest relative frequency error of a model that agrees.
 TARGET = 1e-4
 #: Elastic modes of the aircraft that are compared.
 GARTEUR_MODES = 8
 #: Bounds of the moduli, and their deviation beforehand, relative to the deck's values.
 BOUNDS = (0.6, 1.5)
 DEVIATION = 0.2
-#: The aircraft's hidden moduli. Unlike those of configs/garteur/twin.py they leave the fin's mode
-#: clear of the two of the drums, so that frequencies alone tell which mode is which all the way.
+#: The aircraft's hidden moduli. Unlike those of configs/garteur/twin.py they keep the fin's mode
+#: away from the two drum modes, so that frequencies alone identify the modes at all points.
 GARTEUR_TRUTH = {"FUSELAGE": 1.15, "WING": 0.90, "FIN": 0.85, "TAILPLANE": 0.90, "DRUMS": 1.25}
 #: Between the meshes of the campaigns: 7,979 nodes and 5,108 elements.
 MEDIUM = aircraft.AircraftMesh(size=18.0, layers=2, fuselage_height=18.75)
@@ -120,7 +120,7 @@ def agreement(measured: ModeSet, computed: ModeSet) -> Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What a case and a size stand for.
+    """The model of a case and a size.
 
     write_deck: writes it to a path. truth: material to hidden modulus, relative to the deck's.
     n_modes: elastic modes compared; n_rigid: rigid-body modes below them. sensors: nodes at which
@@ -231,7 +231,7 @@ def set_up(case: str, size: str, target: float, folder: Path) -> Problem:
 
 
 def write_problem(problem: Problem) -> None:
-    """Write test, campaign and problem.json beside the deck."""
+    """Write test, campaign and problem.json next to the deck."""
     numbers = range(1, problem.n_modes + 1)
     write_modes_csv(problem.folder / "measured.csv", numbers, problem.measured, ["a twin's modes"])
     lower, upper = BOUNDS

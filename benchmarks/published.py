@@ -2,9 +2,9 @@
 
 `gauss_newton`: forward differences of 1 %, one parameter after another, and numpy's least squares.
 `least_squares`: SciPy's trust-region method with the same differences.
-`nl2sol`: that of Dakota (Dennis, Gay and Welsch 1981) with the same differences, as many side by
-side as there are cores. Dakota is linked into this process, which reads the deck once, and hands
-over all differences of a Jacobian together (`batch`).
+`nl2sol`: that of Dakota (Dennis, Gay and Welsch 1981) with the same differences, as many in
+parallel as there are cores. Dakota is linked into this process, which reads the deck once, and
+evaluates all differences of a Jacobian together (`batch`).
 
 All minimise the residual of problem.py. A run of CalculiX by itself has as many threads as are the
 quickest, runs side by side have one; nothing is kept from one run for another; all end as soon as
@@ -38,7 +38,7 @@ MAX_ITERATIONS = 20
 
 #: How the model at parameter values agrees with the test.
 Compare = Callable[[Floats], Agreement]
-#: What Dakota tells of a set, by name: `cv` are its continuous variables.
+#: Dakota's description of a point, by name: `cv` are its continuous variables.
 Variables = Mapping[str, Floats]
 
 
@@ -138,8 +138,8 @@ responses
 def nl2sol(problem: Problem, compare: Compare, beside: Compare | None = None) -> Updated:
     """Dakota's NL2SOL.
 
-    beside: as `compare`, where it is called by several threads at once. Raises SystemExit where
-    Dakota is not installed.
+    beside: like `compare`, for calls from several threads at once. Raises SystemExit if Dakota is
+    not installed.
     """
     try:
         from dakota import environment
@@ -203,7 +203,7 @@ def main() -> None:
         updated = METHODS[method](problem, alone)
     sys.stdout.write(json.dumps(asdict(updated)) + "\n")
     sys.stdout.flush()
-    os._exit(0)  # a run that goes on side by side ends with its process
+    os._exit(0)  # runs in parallel end with their process
 
 
 if __name__ == "__main__":

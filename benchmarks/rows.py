@@ -1,4 +1,4 @@
-"""What the table of speeds measures: a function a row, on problems whose truth is known.
+"""The rows of the table of speeds: one function per row, on problems with known truth.
 
 Runs that several rows need (a plain modal run, a way of updating) are made once a round.
 """
@@ -60,7 +60,7 @@ class Bench:
     def problem(self, place: Place, target: float = TARGET) -> Problem:
         """Made once, with its test."""
         if (place, target) not in self.problems:
-            # A target of its own is what a row is about; quickly the usual one need not be met.
+            # A row's own target is its subject and always holds; --quick replaces the usual one.
             asked = 1e-2 if self.quick and target == TARGET else target
             folder = self.folder / f"{'-'.join(place)}-{target:g}"
             self.problems[place, target] = prepare(*place, asked, folder)
@@ -112,22 +112,22 @@ class Round:
         return found
 
     def command(self, place: Place, command: str, options: Sequence[str], label: str = "") -> Cost:
-        """A command of modetune on a problem's campaign, with a store of its own.
+        """Run a command of modetune on a problem's campaign, with its own store.
 
-        label: tells commands of a round apart.
+        label: distinguishes the commands of a round.
         """
         folder = self.folder(f"{'-'.join(place)}-{command}{label}")
         return self.words([command, *campaign(self.bench.problem(place), folder), *options], folder)
 
     def words(self, words: Sequence[str], folder: Path) -> Cost:
-        """Any command of modetune. Raises SystemExit where it fails."""
+        """Run a command of modetune. Raises SystemExit if it fails."""
         ended = modetune(words, folder, self.bench.folder / "home", self.bench.server)
         told(ended, f"modetune {words[0]}")
         return ended.cost
 
 
 def peer(size: str, each: Round) -> Figure:
-    """Dakota's NL2SOL over modetune as it comes, each to its first set within the target."""
+    """Return the ratio of Dakota's NL2SOL to modetune's defaults, to the first point on target."""
     place = each.bench.place("garteur", size)
     dakota, ours = each.trial(place, "f").cost, each.trial(place, "e").cost
     return Figure(
@@ -143,7 +143,7 @@ def peer(size: str, each: Round) -> Figure:
 
 
 def whole(case: str, size: str, large: str, each: Round) -> Figure:
-    """A campaign as it comes over one plain modal run."""
+    """Return the ratio of a campaign with default settings to one plain modal run."""
     place = each.bench.place(case, size, large)
     plain_s, cost = each.plain_s(place), each.trial(place, "e").cost
     return over_plain(cost, plain_s)
@@ -190,7 +190,7 @@ def later_solution(each: Round) -> Figure:
 
 
 def beyond_solver(each: Round) -> Figure:
-    """What an iteration by the solver's own modes costs beside CalculiX."""
+    """Return the time of an iteration with the solver's own modes, without CalculiX's."""
     place = each.bench.place("garteur", "coarse")
     folder = each.folder(f"{'-'.join(place)}-beyond")
     by_solver = [word for text in BY_SOLVER for word in ("--set", text)]
@@ -224,7 +224,7 @@ def memory(each: Round) -> Figure:
 
 
 def cached_demo(each: Round) -> Figure:
-    """The demo once more, all of its results in the store."""
+    """Return the time of a repeated demo with all results cached."""
     folder = each.folder("demo")
     words = ["demo", "six-mass" if each.bench.quick else "garteur"]
     first, again = (each.words(words, folder) for _ in range(2))
@@ -232,13 +232,13 @@ def cached_demo(each: Round) -> Figure:
 
 
 def job_overhead(each: Round) -> Figure:
-    """What Prefect adds to a job on threads."""
+    """Return the time that Prefect adds to a job on threads."""
     found = overheads_ms(100 if each.bench.quick else 1000, each.folder("overhead"))
     return Figure(found["engine, tasks"] - found["engine, threads"], found)
 
 
 def skipped(each: Round) -> Figure:
-    """What e2 saves of the wall time where sensitivities cost runs."""
+    """Return the share of wall time that e2 saves if sensitivities take runs."""
     place = each.bench.place("launcher", "medium")
     # Ten moduli against three modes: only at a small target do both end at the same ones.
     always, skips = (each.trial(place, letter, 1e-5) for letter in "cd")
@@ -261,7 +261,7 @@ ROWS: tuple[Row[Round], ...] = (
     *(
         Row(
             f"peer-{size}",
-            f"Dakota over modetune as it comes, aircraft {size}",
+            f"Dakota over modetune with default settings, aircraft {size}",
             aim,
             True,
             partial(peer, size),
@@ -302,7 +302,7 @@ ROWS: tuple[Row[Round], ...] = (
         partial(study, "fine", "sample", POSTERIOR),
     ),
     Row("starts-fine", "8 starts over one start, aircraft fine", 1.2, False, starts),
-    Row("beyond", "an iteration beside CalculiX, aircraft coarse", 0.2, False, beyond_solver, "s"),
+    Row("beyond", "an iteration less CalculiX, aircraft coarse", 0.2, False, beyond_solver, "s"),
     Row("memory", "peak memory of 5,000 Morris points over 500", 1.2, False, memory),
     Row("demo", "cached rerun of the demo, whole process", 2.5, False, cached_demo, "s"),
     Row("job", "Prefect's share of a job on threads", 15.0, False, job_overhead, "ms"),

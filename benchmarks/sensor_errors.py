@@ -1,4 +1,4 @@
-"""Sensors turned round or exchanged: how many are named, and how many sound ones.
+"""Reversed or exchanged sensors: how many are named, and how many correct ones.
 
 Structures of beams in space (an aircraft of sticks, a portal frame with a boom, a grid that is a
 plate) and chains of masses, for none of which any threshold was made. The model is the one that was
@@ -158,7 +158,7 @@ def grid(across: int, along: int) -> Beams:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A structure with so many sensors, the directions they look in, and modes measured."""
+    """A structure with its numbers of sensors and measured modes, and sensor directions."""
 
     name: str
     made: Callable[[], Beams]
@@ -193,7 +193,7 @@ class Twin:
 
 
 def twins(case: Case, error: float, count: int, seed: int) -> Iterator[Twin]:
-    """Tests beside models; error: standard deviation of the logarithm of each part's stiffness."""
+    """Return tests with models; error: standard deviation of the log stiffness of each part."""
     rng = np.random.default_rng(seed)
     made = case.made()
     for _ in range(count):

@@ -2,7 +2,7 @@
 
     modes      CalculiX's matrices at the hidden moduli, reading them, and 13 modes, uncounted:
                factors in single precision; with --double in double precision after it, compared
-    campaign   `modetune update` of the ten moduli as it comes, with these modes as its test
+    campaign   `modetune update` of the ten moduli by default settings, with these modes as its test
 
     python -m benchmarks.sizes 20000 1000000 5786376 --memory-gb 20 [--double] [--campaign]
 
@@ -151,7 +151,7 @@ def line(n_freedoms: int, found: Found) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure the sizes asked for."""
+    """Measure the requested sizes."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("freedoms", nargs="+", type=int, help="degrees of freedom, six a node")
     parser.add_argument("--memory-gb", type=float, default=machine_memory() / 1e9)
@@ -166,7 +166,7 @@ def main(arguments: list[str] | None = None) -> None:
         for n_freedoms in chosen.freedoms:
             LAUNCHERS[str(n_freedoms)] = n_freedoms
             problem = set_up("launcher", str(n_freedoms), 1e-4, Path(name) / str(n_freedoms))
-            # In a process of its own, which leaves its memory to the campaign.
+            # In a separate process, so that the campaign gets its memory.
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 found, twin = pool.submit(find, problem, limits).result()
             sys.stdout.write(line(n_freedoms, found) + "\n")

@@ -1,9 +1,9 @@
-"""What a large store costs: forecasts, explanations, lists; and what an entry weighs.
+"""The cost of a large store: forecasts, explanations, lists; and the size of an entry.
 
-N entries are made cheaply, one result sealed anew behind each head, as many campaigns leave them:
-12 parameters, 4 decks. The questions are asked as the commands ask them: of a store without an
-index, of one with it, and by reading every entry's head. Then the commands themselves, each a
-process of its own with its imports.
+N entries are made cheaply, by sealing one result again behind each head, as many campaigns would
+leave them: 12 parameters, 4 decks. The queries are those of the commands: to a store without an
+index, to one with it, and by reading every entry's head. Then the commands themselves run, each in
+a separate process, including its imports.
 
     python -m benchmarks.store [--entries 100000] [--folder FOLDER]
 
@@ -44,7 +44,7 @@ ITERATION = 10
 
 
 def head_of(number: int, random: np.random.Generator) -> dict[str, object]:
-    """What stands before an entry, for a number that no other has."""
+    """Return the head of an entry with a unique number."""
     names = [f"E_{place}" for place in range(PARAMETERS)]
     values = tuple(zip(names, (1.0 + 0.01 * random.normal(size=PARAMETERS)).tolist(), strict=True))
     deck = DECKS[number % len(DECKS)]
@@ -124,7 +124,7 @@ def questions(store: Store, count: int) -> None:
 
 
 def commands(store: Store) -> None:
-    """The commands, each a process of its own; peak: of its memory."""
+    """Run the commands, each in a separate process; peak: of its memory."""
     key = next(store.entries()).name[:64]
     for command in (
         ["version"],

@@ -1,8 +1,8 @@
-"""A table of speeds: what is measured, in how many rounds, and how it is told.
+"""A table of speeds: its rows, rounds and output.
 
-In each round every row is measured once, one after the other; what a ratio compares is measured in
-the same round, so that what else the machine does falls on both. The figure of a row is the median
-of its rounds; what it was made of is that of the round in the middle.
+In each round every row is measured once, one after the other. Both sides of a ratio are measured in
+the same round, so that other load on the machine affects both. The figure of a row is the median of
+its rounds; its parts are those of the round with the median.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Figure:
 class Row(Generic[R]):
     """A line of the table. measure: takes the round; unit: none for ratios.
 
-    aim: what is asked for; at_least: whether more than it is better; less is otherwise.
+    aim: the required value; at_least: higher values are better, otherwise lower ones.
     """
 
     name: str
@@ -79,14 +79,14 @@ class Measured(Generic[R]):
 
     @property
     def reached(self) -> bool | None:
-        """Whether the figure is what was asked for; None where there is none."""
+        """Return whether the figure meets its aim; None without a figure."""
         if self.value is None:
             return None
         return self.value >= self.row.aim if self.row.at_least else self.value <= self.row.aim
 
 
 def measure(rows: Sequence[Row[R]], rounds: Sequence[R]) -> list[Measured[R]]:
-    """All rows in every round. One that fails is told, not tried again, and the others go on."""
+    """Measure all rows in every round; a row that fails is printed and left out of later rounds."""
     found = [Measured(row) for row in rows]
     for number, each in enumerate(rounds, start=1):
         for item in (item for item in found if not item.error):

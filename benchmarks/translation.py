@@ -1,10 +1,11 @@
-"""What a parameter set costs before CalculiX starts, on a Nastran deck: edited against anew.
+"""The cost of a point before CalculiX starts on a Nastran deck: edited or translated again.
 
     python -m benchmarks.translation [GRIDS]
 
-A curved panel of shells with a lump, some GRIDS grid points. Anew: the updated deck is read,
-translated and understood, as every parameter set once was; edited: the numbers of the first
-translation are. Both give the same text. Seconds are of the processor, the least of two.
+The model is a curved panel of shells with a lump, with about GRIDS grid points. Translated again:
+the updated deck is read, translated and parsed, as formerly for every point. Edited: only the
+numbers of the first translation change. Both give the same text. Times are processor seconds, the
+lower of two.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def main(grids: int) -> None:
         after = least(lambda number: solver.render(values(number), ANALYSIS))
         assert solver.render(values(0), ANALYSIS).content == anew(0)
     sys.stdout.write(
-        f"{len(deck.bulk.nodes)} grid points: anew {before:.2f} s, edited {after:.2f} s, "
+        f"{len(deck.bulk.nodes)} grid points: again {before:.2f} s, edited {after:.2f} s, "
         f"{before / after:.1f} times faster; the same text\n"
     )
 

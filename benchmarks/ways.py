@@ -4,7 +4,7 @@
     b  SciPy's least_squares around the solver
     c  the thesis's Case II: modetune with finite differences in each iteration
     d  the thesis's Case I: the same, skipped where e2 allows, with Broyden's update
-    e  modetune as it comes
+    e  modetune with default settings
     f  Dakota's NL2SOL around the solver, differences side by side
 
 All start at the deck's values and end when every frequency is within the target; the truth is
@@ -72,7 +72,7 @@ WAYS = {
         Way("b", "SciPy least_squares", method="least_squares"),
         Way("c", "thesis's Case II", settings=(*THESIS, "update.e2=0")),
         Way("d", "thesis's Case I", settings=THESIS),
-        Way("e", "modetune as it comes"),
+        Way("e", "modetune, default settings"),
         Way("f", "Dakota NL2SOL", method="nl2sol"),
     )
 }
@@ -88,7 +88,7 @@ class Trial:
     parameters: where it ended, relative values. largest_error, mean_error: of the frequencies
     there, by one plain run; least_mac: of the shapes there, None without. largest_distance,
     mean_distance: of the parameters to the truth. seconds: where modetune's wall went, by what was
-    done; empty where nobody asked.
+    done; empty unless requested.
     """
 
     cost: Cost
@@ -112,7 +112,7 @@ def prepare(case: str, size: str, target: float, folder: Path) -> Problem:
 
 @contextmanager
 def prefect_server(use: ServerUse, home: Path) -> Iterator[None]:
-    """Keeps a server up meanwhile, where campaigns are to find one running."""
+    """Keep a server running during the context, if campaigns should find one."""
     if use != "running":
         yield
         return
@@ -188,7 +188,7 @@ def importing() -> dict[str, str]:
 
 
 def campaign(problem: Problem, folder: Path) -> list[str]:
-    """The words of a command by which it runs a problem's campaign in a folder of its own."""
+    """Return the arguments with which a command runs a problem's campaign in its own folder."""
     runs, store = folder / "runs", folder / "store"
     return [str(problem.campaign), "--runs", str(runs), "--set", f"store={store}"]
 
@@ -196,7 +196,7 @@ def campaign(problem: Problem, folder: Path) -> list[str]:
 def modetune(
     words: Sequence[str], folder: Path, home: Path, server: ServerUse, profile: bool = False
 ) -> Ended:
-    """A command of modetune by itself in a folder.
+    """Run a command of modetune in a folder.
 
     home: of the server. profile: it notes in the folder where its time goes (time_spent.py).
     """
