@@ -116,9 +116,7 @@ def _without_interactions(file: h5py.File) -> None:
     """Change the content of format 6 into that of 7, which has no factorials. Raises CampaignError
     for one of these."""
     if file["design"].attrs["method"] == "factorial":
-        raise CampaignError(
-            "factorial screenings are read by modetune 0.1 only; use morris or sobol"
-        )
+        raise CampaignError("factorial screenings were removed; screen with morris or sobol")
     if "indices" in file:
         del file["indices/interactions"]
 

@@ -298,7 +298,7 @@ def test_a_record_of_format_6_is_read_unless_it_is_a_factorial(
     stored("lhs")
     assert summary(SCREENING.read(path)) == summary(found)
     stored("factorial")
-    with pytest.raises(CampaignError, match="factorial screenings are read by"):
+    with pytest.raises(CampaignError, match="factorial screenings were removed"):
         SCREENING.read(path)
 
 
