@@ -256,9 +256,8 @@ def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> st
     }
     pairs = ", ".join(f"{number}: {own[number]}" for number in numbers if number in own)
     return (
-        f"Say which elastic mode of the model answers which mode of the test: `test.pairs: "
-        f"{{{pairs}}}` confirms them, other numbers pair them otherwise; a mode that the model "
-        "has not is left out with `test.use`"
+        f"`test.pairs: {{{pairs}}}` confirms them; other numbers pair test modes with other elastic "
+        "modes, and `test.use` leaves out a mode that the model lacks"
     )
 
 
