@@ -256,8 +256,8 @@ def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> st
     }
     pairs = ", ".join(f"{number}: {own[number]}" for number in numbers if number in own)
     return (
-        f"`test.pairs: {{{pairs}}}` confirms them; other numbers pair test modes with other elastic "
-        "modes, and `test.use` leaves out a mode that the model lacks"
+        f"`test.pairs: {{{pairs}}}` confirms them; other numbers pair test modes with other "
+        "elastic modes, and `test.use` leaves out a mode that the model lacks"
     )
 
 
