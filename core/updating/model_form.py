@@ -1,4 +1,4 @@
-"""Whether any admissible parameter values can remove a residual: a test for model-form error.
+"""Test for model-form error: can parameter values within their bounds explain the residual?
 
 With S the sensitivity, z the residual and V the measurement variances, the best that parameters
 within their bounds can do, in the linear model, is
@@ -9,8 +9,8 @@ Where the model has the truth among its parameter values, chi^2 is what measurem
 of chi-square distribution with n - n_shapes - r degrees of freedom, r the rank of the columns of S
 whose parameters are not on a bound (Shapiro 1988 for the bounds). A shape counts one less
 than its sensors, because it is compared after scaling.
-If noise exceeds chi^2 with a probability p below the level, something is wrong that no parameter
-can correct: the model's form, the test, or the deviations that the campaign states.
+If noise exceeds chi^2 with a probability p below the level, there is an error that no parameter
+can correct: in the model's form, in the test, or in the deviations that the campaign states.
 
 The linear model is good to first order only. A change by the share d_j bends an effect of
 stiffness or mass by about the same share, and a sensitivity that was computed where parameters
@@ -20,8 +20,8 @@ stood m_j away is off by about the share m_j, so the entry i of the residual may
 
 whose square is added to its variance. Shapes of close modes turn within their space at a rate that
 itself changes fast, so half of a shape's turn |S d| is added likewise, spread over its entries.
-After updating d is small, all this is nothing, and the test is a verdict. Before, it is a
-forecast, and a mild one: what it finds is there, what it does not find may come to light later.
+After updating d is small, these terms vanish, and the result is a verdict. Before updating it is
+a cautious forecast: an error that it reports is real, but it may miss errors.
 
 The remaining residual of each entry is given in its standard deviations, z_left / sqrt(V (1 - h)),
 with h the leverage of that entry in the fit (Belsley, Kuh and Welsch 1980).
@@ -44,7 +44,7 @@ from modetune.core.updating.parameter_steps import (
     parameter_step,
 )
 
-#: Share of good models that are suspected all the same.
+#: Share of correct models that are wrongly suspected.
 LEVEL = 0.01
 #: Multiple of noise above which a forecast suspects an error beyond those of its linear model.
 FORECAST = 1.5
@@ -220,15 +220,15 @@ def model_form_sentence(
         return f"What is left of the residual {leaves} within measurement noise ({numbers})."
     # Doubles end near 1e-308, where a probability is rounded to nothing.
     chance = f"p {found.p_value:.1e}" if found.p_value >= 1e-300 else "p < 1e-300"
-    removes = "removes" if updated else "is expected to remove"
+    explain = "explain" if updated else "are expected to explain"
     most = [label for label, share in shares_left(found, labels) if share >= 0.2][:3]
     where = f", most of it in {', '.join(most)}" if most else ""
     held = [name for name, on in zip(names, found.at_bound.tolist(), strict=True) if on]
     bounds = f" {', '.join(held)} would go beyond a bound." if held else ""
     return (
-        f"No admissible parameter set {removes} the residual: what is left is "
+        f"No parameter values within the bounds {explain} the test: the remaining residual is "
         f"{found.times_noise:.2g} times what the stated measurement deviations explain "
-        f"({numbers}, {chance}){where}.{bounds} Something is wrong that none of the "
-        "parameters stands for. Look at boundary conditions and joints, and at the stated "
+        f"({numbers}, {chance}){where}.{bounds} There is a modelling error that none "
+        "of these parameters represents. Check boundary conditions, joints and the stated "
         "measurement deviations."
     )

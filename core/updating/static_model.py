@@ -181,7 +181,7 @@ def _check(
     said: Sequence[str],
     held: NDArray[np.bool_],
 ) -> None:
-    """Raise ModelError for the first that is unknown, or held in place. said: what each is of."""
+    """Raise ModelError for the first that is unknown or constrained. said: what each is of."""
     for wrong, why in (
         (seen.unknown, "does not follow from the matrices' unknowns"),
         (held, "is held in place, so nothing moves there"),

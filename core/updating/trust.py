@@ -264,8 +264,8 @@ class Trust:
 
 
 def too_many_missed(n_missed: int, n_predicted: int) -> bool:
-    """Return whether so many left-out modes miss their 95 % intervals that no standard error
-    describes the parameters: more than a fifth, and more than chance leaves likely."""
+    """Return whether too many left-out modes miss their 95 % intervals for standard errors to be
+    valid: more than a fifth, and more than chance makes likely."""
     chance = float(scipy.special.bdtrc(n_missed - 1.0, n_predicted, 0.05)) if n_missed else 1.0
     return n_missed > MISSES * n_predicted and chance < CHANCE
 

@@ -225,7 +225,7 @@ def test_the_sentence_names_what_is_left_and_the_bound() -> None:
     )
     labels = tuple(f"the frequency of mode {number}" for number in (1, 2, 3))
     said = model_form_sentence(form, labels, ("k1",), updated=False)
-    assert "No admissible parameter set is expected to remove the residual" in said
+    assert "No parameter values within the bounds are expected to explain the test" in said
     assert "most of it in the frequency of mode 3" in said
     assert "k1 would go beyond a bound" in said
 

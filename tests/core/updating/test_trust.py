@@ -340,7 +340,7 @@ def test_what_was_not_tested_for_other_minima_is_not_trusted_without_reservation
 
 @pytest.mark.parametrize("times_noise", [0.0, 2.0, 5.0])
 def test_other_values_never_fit_as_well_where_nothing_explains_the_test(times_noise: float) -> None:
-    unexplained = "No admissible parameter set removes the residual."
+    unexplained = "No parameter values within the bounds explain the test."
     found = trust(WELL_POSED, [1.1] * 4)
     if times_noise:
         found = replace(with_concerns(found, unexplained), times_noise=times_noise)

@@ -101,12 +101,12 @@ def test_a_spring_that_no_parameter_has_is_forecast_and_judged_as_model_form_err
     campaign = bench.campaign({"k5": 1.5}, shapes=True, parameters=THREE)
     forecast = localise(campaign)
     assert forecast.form.suspected
-    assert "is expected to remove" in forecast.sentence
+    assert "are expected to explain" in forecast.sentence
     record = update_campaign(campaign, tmp_path / "run", watcher).record
     verdict = record_verdict(record)
     assert verdict is not None
     assert verdict.form.suspected
-    assert "No admissible parameter set removes the residual" in verdict.sentence
+    assert "No parameter values within the bounds explain the test" in verdict.sentence
     at_end = localise(campaign, record.updated)
     assert at_end.form.suspected
     # The last sensitivity of the record is of a step before; both see the same.

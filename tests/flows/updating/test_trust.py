@@ -119,7 +119,7 @@ def test_what_no_parameter_stands_for_takes_the_trust_away_everywhere(
         return
     assert found.times_noise > 3.0
     assert found.verdict == "not to be trusted"
-    assert any("No admissible parameter set" in concern for concern in found.concerns)
+    assert any("No parameter values within the bounds" in concern for concern in found.concerns)
 
 
 def test_a_held_out_mode_that_got_worse_is_a_reservation(bench: Any, watcher: Any) -> None:
