@@ -155,7 +155,7 @@ def unexplained_peaks(
     """Frequencies of peaks that the modes do not make up, where one may be missing, ascending.
 
     values, synthesised: (n_lines, n_functions), all functions of like size. A peak is where more
-    than half of the response is left, and the rest has ten times the power of its median, which
+    than half of the response is left, and what is left has ten times the power of its median, which
     noise has not.
     """
     left = np.sum(np.abs(values - synthesised) ** 2, axis=1)

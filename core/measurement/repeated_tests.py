@@ -10,7 +10,7 @@ their own covariance C_uu - C_uo C_oo^-1 C_ou added to that of the completed val
 would distort both, so the first round uses Student's t with 3 degrees of freedom: there a
 repetition weighs (3 + m_o) / (3 + d^2), d^2 = (x_o - mean_o)^T C_oo^-1 (x_o - mean_o)
 (Little 1988; Lange, Little and Taylor 1989). What lies too far from that is left out value by
-value: of a repetition the value without which d^2 falls most, until the rest is not unusual; the
+value: of a repetition the value without which d^2 falls most, until the others are not unusual; the
 whole repetition, where less than half of it would be left. All others then give mean and
 covariance, and the two steps repeat until they agree. A repetition is unusual where d^2 is beyond
 what one in a hundred sets of n good ones has anywhere: a new normal vector has

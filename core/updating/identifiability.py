@@ -1,4 +1,4 @@
-"""What a test can determine of the parameters, whatever their updated values.
+"""Which parameters a test can determine, regardless of their updated values.
 
 Everything follows from the weighted, prior-scaled sensitivity
 
@@ -82,7 +82,7 @@ class Collinearity:
 
 @dataclass(frozen=True, slots=True)
 class UnseenCombination:
-    """A change of several parameters at once, or of one, that the test hardly notices.
+    """A change of one or several parameters to which the measured values are insensitive.
 
     members: positions, the one with the largest part first; changes: (n_members,), of each
     relative to its own value, the first being 1; seen: standard deviations by which the
@@ -270,6 +270,5 @@ def collinearity(scaled: Floats) -> Collinearity:
 
 
 def _indices(smallest: Floats) -> Floats:
-    """Indices from smallest eigenvalues."""
     seen = smallest > ROUNDING
     return np.where(seen, 1.0 / np.sqrt(np.where(seen, smallest, 1.0)), np.inf)

@@ -57,8 +57,8 @@ class ModelForm:
     """What the best admissible parameter values leave of a residual.
 
     statistic: chi^2; dof: its degrees of freedom, 0 or less where nothing is left to judge by;
-    p_value: probability that noise alone leaves more, NaN without degrees of freedom; least: times
-    noise that have to be left before anything is suspected.
+    p_value: probability that noise alone leaves more, NaN without degrees of freedom; least: the
+    smallest `times_noise` at which an error is suspected.
     change: (n_parameters,), d; at_bound: (n_parameters,), which end on a bound.
     left: (n_residuals,), z - S d; standardised: (n_residuals,), of deviation one if noise alone.
     """
@@ -75,7 +75,7 @@ class ModelForm:
 
     @property
     def suspected(self) -> bool:
-        """Whether noise leaves so much in less than `level` of all cases, and it is enough."""
+        """Whether `p_value` is below `level` and the misfit reaches `least` times noise."""
         return self.p_value < self.level and self.times_noise >= self.least
 
     @property
@@ -85,7 +85,7 @@ class ModelForm:
 
     @property
     def times_noise(self) -> float:
-        """How many times more is left than noise explains; NaN without degrees of freedom."""
+        """The remaining misfit over what noise explains; NaN without degrees of freedom."""
         return float(np.sqrt(self.statistic / self.dof)) if self.dof > 0 else float("nan")
 
 
@@ -152,7 +152,7 @@ def model_form(
 
 
 def _nonlinearity(sensitivity: Floats, change: Floats, doubt: Floats, owner: Integers) -> Floats:
-    """Variance of each entry by what the linear model cannot know of a change, (n_residuals,)."""
+    """Return the variance of each entry from the error of the linear model, (n_residuals,)."""
     bent = (np.abs(sensitivity * change) @ doubt) ** 2
     moves = (sensitivity @ change) ** 2
     for shape in np.unique(owner[owner >= 0]).tolist():
@@ -178,7 +178,7 @@ def _fit(
 
 
 def shares_left(found: ModelForm, labels: tuple[str, ...]) -> list[tuple[str, float]]:
-    """Share of what is left by label, the largest first.
+    """Return the share of the remaining misfit by label, the largest first.
 
     labels: (n_residuals,), what each entry is of.
     """
@@ -193,7 +193,7 @@ def shares_left(found: ModelForm, labels: tuple[str, ...]) -> list[tuple[str, fl
 def model_form_sentence(
     found: ModelForm, labels: tuple[str, ...], names: tuple[str, ...], updated: bool
 ) -> str:
-    """The finding for people, one or two sentences.
+    """Return the finding in one or two sentences.
 
     labels: of the residual's entries; names: of the parameters; updated: a verdict on the updated
     model, not a forecast.

@@ -1,4 +1,4 @@
-"""How far the answer of an updating can be trusted: flags, sentences, a verdict.
+"""How far updated parameters can be trusted: flags, sentences and a verdict.
 
 A matched frequency proves little. Each parameter answers these questions, and each yes is a flag:
 
@@ -12,7 +12,7 @@ A matched frequency proves little. Each parameter answers these questions, and e
                 in opposite directions (collinearity index of at least 20, the upper limit of Brun
                 and others 2001), although the stated deviations separate them?
     far         is it more than three of its deviations away from the deck?
-    starts      did updates from other starts end elsewhere, and fit as well?
+    starts      did searches from other starts end at other values that fit as well?
     undetermined  is its standard error infinite, although no other flag doubts it?
     uncertain   is its change smaller than its standard error? Then the deck's value fits as well,
                 which is no doubt.
