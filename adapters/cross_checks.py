@@ -71,9 +71,9 @@ def check_mark(asked: str, found: str) -> None:
 
     asked: a text with the job's mark; found: what the result has in its place.
     """
-    wanted, said = MARK.search(asked), MARK.search(found)
-    if wanted and said and wanted.group() != said.group():
+    wanted, text = MARK.search(asked), MARK.search(found)
+    if wanted and text and wanted.group() != text.group():
         raise ValueError(
-            f"the result names job {said.group(1).lower()}, and {wanted.group(1).lower()} was run: "
+            f"the result names job {text.group(1).lower()}, and {wanted.group(1).lower()} was run: "
             "it is another job's"
         )

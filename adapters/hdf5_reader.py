@@ -61,11 +61,11 @@ def read_hdf5(path: Path, names: Sequence[str]) -> dict[str, dict[str, Floats] |
 
 
 def _read_one(folder: Path, number: int, ended: str) -> dict[str, Floats] | ModelError:
-    arrays, said = folder / f"{number}.npz", folder / f"{number}.txt"
+    arrays, text = folder / f"{number}.npz", folder / f"{number}.txt"
     if arrays.is_file():
         with np.load(arrays, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    return ModelError(said.read_text(encoding="utf-8") if said.is_file() else ended)
+    return ModelError(text.read_text(encoding="utf-8") if text.is_file() else ended)
 
 
 def _everything(file: h5py.File) -> dict[str, NDArray[Any]]:

@@ -57,9 +57,9 @@ def licence_refusal(folder: Path, messages: Sequence[str] = ()) -> str:
     for path in files:
         try:
             with open_regular(path) as file:
-                said = licence_denied(file.read(HEAD_BYTES).decode("latin-1"), messages)
+                text = licence_denied(file.read(HEAD_BYTES).decode("latin-1"), messages)
         except OSError:  # gone, or no file
             continue
-        if said:
-            return said
+        if text:
+            return text
     return ""

@@ -162,17 +162,17 @@ class _Supervisors:
     def start(self, what: bytes) -> _Supervisor:
         """Start a supervisor of a program described in JSON. Raises OSError."""
         wanted, stdin = os.pipe()
-        stdout, said = os.pipe()
+        stdout, text = os.pipe()
         made = _Supervisor(os.fdopen(stdin, "wb", 0), os.fdopen(stdout, "rb"))
         try:
-            self._send([wanted, said])
+            self._send([wanted, text])
         except BaseException:
             made.stdin.close()
             made.stdout.close()
             raise
         finally:
             os.close(wanted)
-            os.close(said)
+            os.close(text)
         with contextlib.suppress(BrokenPipeError):  # it was killed, as its output shows
             rest = memoryview(len(what).to_bytes(8, "big") + what)
             while rest:
@@ -239,9 +239,9 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> tuple[F
         raise SolverCrashed(f"{where}: its supervisor was killed\n{log_tail(folder)}")
     try:
         told = json.loads(report)
-        said = str(told["error"])
+        text = str(told["error"])
         cost, taken = (0, 0.0, 0.0, 0), 0
-        if not said:
+        if not text:
             cost = (
                 int(told["return_code"]),
                 wall_s,
@@ -254,15 +254,15 @@ def _finished(report: bytes, where: str, folder: Path, wall_s: float) -> tuple[F
             f"{where}: its supervisor's report cannot be read: {report[:80]!r}"
         ) from error
     finished = Finished(*cost)
-    if said == "missing":
+    if text == "missing":
         raise SolverMissing(f"{where}: there is no such program; install it or put it on PATH")
-    if not taken and (said or finished.return_code != 0) and disk_full(folder):
+    if not taken and (text or finished.return_code != 0) and disk_full(folder):
         raise StorageUnavailable(
             f"{where} failed and the disk is full; free some space and run the same command "
             "again: finished jobs are not repeated"
         )
-    if said:
-        raise SolverCrashed(f"{where} could not be started: {said}")
+    if text:
+        raise SolverCrashed(f"{where} could not be started: {text}")
     return finished, taken
 
 

@@ -26,8 +26,8 @@ def open_regular(path: Path) -> BinaryIO:
     if not stat.S_ISREG(kind):
         os.close(handle)
         number = errno.EISDIR if stat.S_ISDIR(kind) else errno.EINVAL
-        said = os.strerror(errno.EISDIR) if stat.S_ISDIR(kind) else "it is a pipe or a device"
-        raise OSError(number, f"{said}, and a regular file is needed", str(path))
+        text = os.strerror(errno.EISDIR) if stat.S_ISDIR(kind) else "it is a pipe or a device"
+        raise OSError(number, f"{text}, and a regular file is needed", str(path))
     return os.fdopen(handle, "rb")
 
 

@@ -219,8 +219,8 @@ def supervise(
         return f'{{"error": "{error.strerror}"}}'
     _say("0" if failure else str(program))
     if failure:
-        said = "missing" if failure == ENOENT else os.strerror(failure)
-        return f'{{"error": "{said}"}}'
+        text = "missing" if failure == ENOENT else os.strerror(failure)
+        return f'{{"error": "{text}"}}'
     output.follow(source)
     code, cpu_s, memory, taken = _wait(program, output, disk)
     output.close()

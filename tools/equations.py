@@ -45,10 +45,10 @@ def equation(tex: str) -> str:
     path = TextPath((0, 0), text, prop=font)
     view = f"0 {descent - height:.0f} {width:.0f} {height:.0f}"
     size = f"width:{width / EM:.2f}em;height:{height / EM:.2f}em"
-    said = html.escape(tex)
+    message = html.escape(tex)
     return (
         f'<svg role="img" viewBox="{view}" style="{size};vertical-align:{-descent / EM:.2f}em">'
-        f'<title>{said}</title><path fill="currentColor" d="{_drawn(path)}"/></svg>'
+        f'<title>{message}</title><path fill="currentColor" d="{_drawn(path)}"/></svg>'
     )
 
 

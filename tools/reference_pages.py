@@ -272,12 +272,12 @@ def _option(parameter: Any) -> str:
         shown += f" {_word(parameter.type_descriptor.annotation)}"
     default = parameter.default
     if parameter.required:
-        told = "required"
+        text = "required"
     elif default is None or default is False or default == [] or callable(default):
-        told = ""
+        text = ""
     else:
-        told = f"`{default}`"
-    return f"| `{shown}` | {told} | {_cell(parameter.help or '')} |\n"
+        text = f"`{default}`"
+    return f"| `{shown}` | {text} | {_cell(parameter.help or '')} |\n"
 
 
 def _word(annotation: Any) -> str:

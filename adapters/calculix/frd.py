@@ -61,8 +61,8 @@ def convert_frd(frd: Path, n_modes: int, folder: Path) -> Iterator[pyvista.Unstr
     for mode in range(1, n_modes + 1):
         path = folder / f"{mode}.vtu"
         if finished.return_code != 0 or not path.is_file():
-            said = read_log(folder).strip().rpartition("\n")[2]
-            raise NoResult(f"ccx2paraview could not convert {frd} ({said.strip()}): {REMEDY}")
+            text = read_log(folder).strip().rpartition("\n")[2]
+            raise NoResult(f"ccx2paraview could not convert {frd} ({text.strip()}): {REMEDY}")
         grid = pyvista.read(path)
         assert isinstance(grid, pyvista.UnstructuredGrid)
         yield _named(grid, nodes, elements, frd)
@@ -146,8 +146,8 @@ def read_frd(path: Path) -> ModeSet:
                 except ValueError as error:
                     raise ValueError(f"line {number}: {error}") from error
     if not shapes or not closed:
-        said = "ends before its closing line" if shapes else "holds no displacements of modes"
-        raise ValueError(f"it {said}")
+        text = "ends before its closing line" if shapes else "holds no displacements of modes"
+        raise ValueError(f"it {text}")
     nodes = sorted(shapes[0])
     if any(sorted(shape) != nodes for shape in shapes):
         raise ValueError("its modes are at different nodes")

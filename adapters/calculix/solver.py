@@ -136,13 +136,13 @@ class CalculixProgram:
         log = read_log(folder)
         messages = read_messages(log)
         if messages:
-            said = as_block("\n".join(message.text for message in messages))
+            text = as_block("\n".join(message.text for message in messages))
             place = _place(messages, deck.structure, deck.changed)
-            if "memory" in said.lower():
-                raise SolverExhausted(f"CalculiX ran out of memory in {folder}:\n{said}")
-            if "aupd" in said and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
-                said += f"\n  {analysis.n_modes} modes need some more unknowns than the model has"
-            raise SolverRejected(f"CalculiX refused the deck {place} (job in {folder}):\n{said}")
+            if "memory" in text.lower():
+                raise SolverExhausted(f"CalculiX ran out of memory in {folder}:\n{text}")
+            if "aupd" in text and isinstance(analysis, ModalAnalysis):  # ARPACK refused its sizes
+                text += f"\n  {analysis.n_modes} modes need some more unknowns than the model has"
+            raise SolverRejected(f"CalculiX refused the deck {place} (job in {folder}):\n{text}")
         if return_code != 0 or "Job finished" not in log:
             raise SolverCrashed(
                 f"CalculiX ended in {folder} with code {return_code} and without its closing "

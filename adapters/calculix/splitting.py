@@ -49,7 +49,7 @@ def _split_sections(
     chosen = _selections(structure, parameters)
     changed: dict[int, str] = {}
     added: dict[int, list[str]] = defaultdict(list)
-    said = []
+    messages = []
     taken = set(sets)
     for card in structure.sections:
         old = card.option("ELSET")
@@ -62,15 +62,15 @@ def _split_sections(
         changed |= _renamed(deck, card, "ELSET", name)
         for names, members in others:
             part = _free_name(old, taken)
-            told = f"{part}: {elements_named(members)} of {old} ({', '.join(names)})"
-            before += [f"** {told}", *_elset(part, members)]
+            text = f"{part}: {elements_named(members)} of {old} ({', '.join(names)})"
+            before += [f"** {text}", *_elset(part, members)]
             texts = _renamed(deck, card, "ELSET", part)
             behind += [texts.get(line, deck.lines[line].text) for line in _text_lines(deck, card)]
-            said.append(f"{deck.where(card)}: added a {card.keyword} for {told}")
-    if not said:
+            messages.append(f"{deck.where(card)}: added a {card.keyword} for {text}")
+    if not messages:
         return structure
     again = understand(with_added(deck, changed, added))
-    return replace(again, split=(*structure.split, *said))
+    return replace(again, split=(*structure.split, *messages))
 
 
 def _split_materials(
@@ -81,7 +81,7 @@ def _split_materials(
     changed: dict[int, str] = {}
     added: dict[int, list[str]] = defaultdict(list)
     copies: dict[str, list[str]] = defaultdict(list)
-    said = []
+    messages = []
     sections = {card.lines.start: card for card in structure.sections}
     materials = {card.option("NAME"): card for card in deck.named("*MATERIAL")}
     taken = set(materials)
@@ -95,20 +95,20 @@ def _split_materials(
             name = _free_name(old, taken)
             copies[old].append(name)
             whom = listed([sections[start].option("ELSET") for start in members])
-            told = f"{name}: {old} for {whom} ({', '.join(names)})"
+            text = f"{name}: {old} for {whom} ({', '.join(names)})"
             block = _block(deck, head)
             texts = _renamed(deck, head, "NAME", name)
             added[block[-1]] += [
-                f"** {told}",
+                f"** {text}",
                 *(texts.get(line, deck.lines[line].text) for line in block),
             ]
-            said.append(f"{deck.where(head)}: added material {told}")
+            messages.append(f"{deck.where(head)}: added material {text}")
             for start in members:
                 changed |= _with_material(deck, sections[start], changed, old, name)
-    if not said:
+    if not messages:
         return structure
     again = understand(with_added(deck, changed, added))
-    return replace(again, copies=dict(copies), split=(*structure.split, *said))
+    return replace(again, copies=dict(copies), split=(*structure.split, *messages))
 
 
 def _selections(structure: CalculixStructure, parameters: Sequence[Parameter]) -> list[Selection]:

@@ -48,9 +48,9 @@ class UserReader:
             place = traceback.extract_tb(error.__traceback__)[-1]
             inside = place.filename != __file__
             where = f"{place.filename}, line {place.lineno}" if inside else str(self.file)
-            said = f"{type(error).__name__}: {error}" if inside else f"it must give {GIVES}"
+            text = f"{type(error).__name__}: {error}" if inside else f"it must give {GIVES}"
             raise SolverRejected(
-                f"{where}: the reader {self.name} failed on {folder}: {said}"
+                f"{where}: the reader {self.name} failed on {folder}: {text}"
             ) from error
         try:
             return mode_set(np.asarray(frequencies, dtype=np.float64), shapes, nodes, components)

@@ -73,15 +73,15 @@ class CommandProgram:
         with tempfile.TemporaryDirectory(prefix="modetune-") as name:
             command = Command(self._arguments(asked, 1))
             finished = run_process(command, Path(name), VERSION_S, threading.Event())
-            said = read_log(Path(name)).strip()
-        found = VERSION.search(said)
+            text = read_log(Path(name)).strip()
+        found = VERSION.search(text)
         # Some programs print their version and end with a code of failure, for example ccx.
-        if not found and (finished.return_code not in self.settings.exit_codes or not said):
+        if not found and (finished.return_code not in self.settings.exit_codes or not text):
             raise SolverMissing(
                 f"`{' '.join(command.arguments)}` ended with code {finished.return_code} and told "
-                f"no version of {self.name} (`version` under `model.command`): {said[-200:]}"
+                f"no version of {self.name} (`version` under `model.command`): {text[-200:]}"
             )
-        return found[0] if found else said.splitlines()[0][:80]
+        return found[0] if found else text.splitlines()[0][:80]
 
     def version(self) -> str:
         return self._version

@@ -379,9 +379,9 @@ def _link(
     rows = [row_of[name] for name in names if name in row_of]
     own = [key for key in keys if key in given]
     if len(own) != 1:
-        said = " or ".join(f"`{key}`" for key in keys)
+        text = " or ".join(f"`{key}`" for key in keys)
         what = "is missing" if not own else "is given twice: a damper has one of them"
-        problems.append(f"{where}: the key {said} {what}")
+        problems.append(f"{where}: the key {text} {what}")
         return rows, next(iter(keys)), 0.0
     return rows, own[0], _number(file, (*place, own[0]), problems)
 

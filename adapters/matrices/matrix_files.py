@@ -107,8 +107,8 @@ def _checked(
     except OSError as error:
         raise ModelError(f"{path} cannot be read: {error.strerror or error}") from error
     except NO_ARRAYS as error:
-        said = str(error) or type(error).__name__
-        raise ModelError(f"{reference} in {folder} holds no matrix: {said}") from error
+        text = str(error) or type(error).__name__
+        raise ModelError(f"{reference} in {folder} holds no matrix: {text}") from error
 
 
 def _read(path: Path, reference: str) -> Any:

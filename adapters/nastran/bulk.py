@@ -255,8 +255,8 @@ def _check_axes(deck: NastranDeck, card: NastranCard) -> None:
 
 def _sentence(error: Exception) -> str:
     """What pyNastran says, without the card and the long lists that it adds."""
-    said = str(error.args[0]) if error.args else type(error).__name__
-    first = next((line.strip() for line in said.splitlines() if line.strip()), said)
+    message = str(error.args[0]) if error.args else type(error).__name__
+    first = next((line.strip() for line in message.splitlines() if line.strip()), message)
     text = re.split(r"[.;]?\s+[Aa]llowed|\. ", first)[0].rstrip(".;: ")
     return f"it refers to {text}, which is not there" if text.isdigit() else text
 

@@ -88,19 +88,19 @@ def shape_of(kind: str, dimensions: tuple[float, ...]) -> SectionShape:
     """The numbers of a PBARL or PBEAML type. Raises ValueError for a type that is not known."""
     if kind not in _SOLID and kind not in _WALLS:
         raise ValueError(f"cross-section {kind} is not known; give it as PBAR or PBEAM")
-    said = f"cross-section {kind} with {list(dimensions)}"
+    text = f"cross-section {kind} with {list(dimensions)}"
     try:
         if kind in _SOLID:
             shape = _SOLID[kind](*dimensions)
         else:
             walls = _WALLS[kind](*dimensions)
             if min(min(w.thickness, w.stop - w.start) for w in walls) <= 0.0:
-                raise ValueError(f"{said} has a wall without thickness or length")
+                raise ValueError(f"{text} has a wall without thickness or length")
             shape = _walled(walls)
     except (ZeroDivisionError, TypeError, np.linalg.LinAlgError) as error:
-        raise ValueError(f"{said}: {error}") from error
+        raise ValueError(f"{text}: {error}") from error
     if not min(shape.area, shape.inertia_1, shape.inertia_2) > 0.0:
-        raise ValueError(f"{said} encloses no area")
+        raise ValueError(f"{text} encloses no area")
     return shape
 
 

@@ -111,8 +111,8 @@ class NastranModel(Deck):
 
     def masses(self) -> MassKind:
         """By PARAM,COUPMASS, first that of the case control; lumped without it."""
-        said = self._asked("COUPMASS")
-        return "consistent" if said == "YES" or (said.isdigit() and int(said) > 0) else "lumped"
+        text = self._asked("COUPMASS")
+        return "consistent" if text == "YES" or (text.isdigit() and int(text) > 0) else "lumped"
 
     def _asked(self, name: str) -> str:
         """Return a parameter of the deck, first that of the case control; empty without it."""
@@ -354,10 +354,10 @@ def check_left_out(deck: NastranDeck, bulk: Bulk, objections: Sequence[Objection
     counts = Counter(card.name for card in deck.cards if card.name in LEFT_OUT)
     names = {name for name, _ in case.parameters}
     names |= {card.text(1) for card in deck.named("PARAM")}
-    said = [f"{count} {name}" for name, count in sorted(counts.items())]
-    said += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
-    if said:
-        logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(said))
+    texts = [f"{count} {name}" for name, count in sorted(counts.items())]
+    texts += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
+    if texts:
+        logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
 
 
 def _lost_parameters(deck: NastranDeck) -> Iterator[str]:

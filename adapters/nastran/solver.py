@@ -142,11 +142,11 @@ class NastranProgram:
             raise LicenceDenied(f"{title} got no licence in {folder}: {refusal}")
         if fatal:
             texts = {m.text.partition("\n")[0]: m.text for m in reversed(fatal[:SHOWN])}
-            said = as_block("\n".join(reversed(texts.values())))  # two files may say the same
-            if RESOURCES.search(said):
-                raise SolverExhausted(f"{title} ran out of memory or disk in {folder}:\n{said}")
+            text = as_block("\n".join(reversed(texts.values())))  # two files may say the same
+            if RESOURCES.search(text):
+                raise SolverExhausted(f"{title} ran out of memory or disk in {folder}:\n{text}")
             place = _place(fatal, edited)
-            raise SolverRejected(f"{title} refused the deck {place} (job in {folder}):\n{said}")
+            raise SolverRejected(f"{title} refused the deck {place} (job in {folder}):\n{text}")
         without = "its closing line" if printed else f"a print file ({self.dialect.print_file})"
         raise SolverCrashed(
             f"{title} ended in {folder} with code {return_code} and without {without}\n"

@@ -65,11 +65,11 @@ class _Edits:
         texts = [card.text(field) for field in range(1, len(card.fields))]
         for field, value in {1: number, **fields}.items():
             texts[field - 1] = str(value)
-        said = f"{card.name} {number}: {card.name} {card.text(1)} for {whom} ({names})"
+        text = f"{card.name} {number}: {card.name} {card.text(1)} for {whom} ({names})"
         self.added.setdefault(max(card.lines), []).extend(
-            [f"$ {said}", *large_field(card.name, texts).split("\n")]
+            [f"$ {text}", *large_field(card.name, texts).split("\n")]
         )
-        self.said.append(f"{where}: added {said}")
+        self.said.append(f"{where}: added {text}")
 
     def deck(self) -> NastranDeck:
         deck = self.structure.deck

@@ -64,13 +64,13 @@ Variables = dict[str, NDArray[Any]]
 
 def read_mat(path: Path, kind: FileKind) -> Measurement:
     """Read the modes and points of a file. Raises CampaignError with what the file contains."""
-    said = kind.description
-    found = _variables(path, said)
+    text = kind.description
+    found = _variables(path, text)
     points = _points(found)
     modes, taken = _modes(path, found)
     if modes is None and points is None:
         raise CampaignError(
-            f"{path} is {said} without modes (frequencies and shapes by names such as fn and phi): "
+            f"{path} is {text} without modes (frequencies and shapes by names such as fn and phi): "
             f"it holds {_told(found)}"
         )
     note = (f"{path}: {', '.join(taken)}",) if taken else ()
@@ -214,11 +214,11 @@ def _points(found: Variables) -> TestGeometry | None:
 
 def _told(found: Variables) -> str:
     """Return names and sizes of what a file holds, the first few."""
-    said = [
+    texts = [
         f"{name} ({'x'.join(map(str, np.atleast_2d(values).shape))})"
         for name, values in list(found.items())[:8]
     ]
-    return ", ".join(said) + (", ..." if len(found) > 8 else "") or "nothing that is numbers"
+    return ", ".join(texts) + (", ..." if len(found) > 8 else "") or "nothing that is numbers"
 
 
 FORMAT = Format(read=read_mat)

@@ -108,10 +108,10 @@ def modes_of(table: FileTable, computed: bool = False) -> Measurement:
     modes = mode_set(
         known["frequency_hz"], shapes, places[:, 0], places[:, 1], known.get("damping_ratio", [])
     )
-    told = [np.array(known.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
+    texts = [np.array(known.get(name, [math.nan] * len(numbers))) for name in DEVIATIONS]
     return Measurement(
         MeasuredModes(numbers, modes),
-        deviations=MeasuredDeviations(*told) if known.keys() & set(DEVIATIONS) else None,
+        deviations=MeasuredDeviations(*texts) if known.keys() & set(DEVIATIONS) else None,
     )
 
 

@@ -117,13 +117,13 @@ def check_masses(expected: MassProperties, found: MassProperties, size: float) -
         "centre": float(np.abs(found.centre - expected.centre).max()) / size,
         "inertia": max(apart, 0.0) / scale if scale > 0.0 else 0.0,
     }
-    said = ", ".join(f"{name} {100.0 * value:.2g} %" for name, value in differences.items())
+    text = ", ".join(f"{name} {100.0 * value:.2g} %" for name, value in differences.items())
     if max(differences.values()) > TOLERANCE:
         raise ModelError(
-            f"the translated model's masses are not the Nastran model's (they differ: {said}):\n"
+            f"the translated model's masses are not the Nastran model's (they differ: {text}):\n"
             f"  Nastran:  {expected}\n  CalculiX: {found}"
         )
-    return f"{expected}; CalculiX differs by: {said}"
+    return f"{expected}; CalculiX differs by: {text}"
 
 
 def calculix_mass_properties(builder: CalculixText, deck: KeywordDeck) -> MassProperties:

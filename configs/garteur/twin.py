@@ -66,14 +66,14 @@ def write_twin(folder: Path) -> None:
     """Write both test files."""
     modes = truth_modes()
     truth = ", ".join(f"{group} {value}" for group, value in TRUTH.items())
-    said = ["Twin of the coarse GARTEUR aircraft, made by twin.py with relative moduli", truth]
+    texts = ["Twin of the coarse GARTEUR aircraft, made by twin.py with relative moduli", truth]
     numbers = range(1, N_MEASURED + 1)
-    write_modes_csv(folder / "twin_measured.csv", numbers, modes, [*said, "exact"])
+    write_modes_csv(folder / "twin_measured.csv", numbers, modes, [*texts, "exact"])
     write_modes_csv(
         folder / "twin_noisy.csv",
         numbers,
         noisy(modes, FREQUENCY_NOISE, SHAPE_NOISE, SEED),
-        [*said, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
+        [*texts, f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}"],
     )
 
 

@@ -153,14 +153,14 @@ def truth_modes() -> ModeSet:
 def write_twin(folder: Path) -> None:
     """Write the test file."""
     values = TRUTH | {group: factor for group, (_, _, factor) in PADS.items()}
-    said = [
+    texts = [
         "Test of the true launcher, made by twin.py; the first 6 modes at 26 triaxial sensors",
         "moduli over the model's: " + ", ".join(f"{name} {v:g}" for name, v in values.items()),
         "masses, kg: " + ", ".join(f"{1000 * mass:g} at {at}" for at, mass in MASSES.items()),
         f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE}, seed {SEED}",
     ]
     modes = noisy(signed(truth_modes()), FREQUENCY_NOISE, SHAPE_NOISE, SEED)
-    write_modes_csv(folder / "measured.csv", range(1, N_MEASURED + 1), modes, said)
+    write_modes_csv(folder / "measured.csv", range(1, N_MEASURED + 1), modes, texts)
 
 
 if __name__ == "__main__":

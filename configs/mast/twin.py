@@ -90,12 +90,12 @@ def claims(record: CampaignRecord) -> list[Claim]:
 
 def write_twin(folder: Path) -> None:
     """Write the modal test, and print the other two."""
-    said = [
+    texts = [
         "Test of the true mast, made by twin.py; the first 8 modes at 10 triaxial sensors",
         f"noise: frequencies {FREQUENCY_NOISE}, shapes {SHAPE_NOISE} of their rms, seed {SEED}",
     ]
     measured = noisy(signed(truth_modes()), FREQUENCY_NOISE, SHAPE_NOISE, SEED)
-    write_modes_csv(folder / "measured.csv", range(1, N_MEASURED + 1), measured, said)
+    write_modes_csv(folder / "measured.csv", range(1, N_MEASURED + 1), measured, texts)
     noise = np.random.default_rng(SEED)
     moved = truth_displacements()
     largest = max(float(np.abs(moved[node]).max()) for node in GAUGES)

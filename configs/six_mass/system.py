@@ -86,11 +86,11 @@ def write_system(folder: Path) -> None:
     for name, text in MODELS.items():
         (folder / name).write_text(text)
     modes = modes_of(folder / "experimental.yaml")
-    said = "Modes of experimental.yaml, made by system.py without noise"
-    write_modes_csv(folder / "all_measured.csv", range(1, 7), modes, [said, "mass-normalised"])
+    message = "Modes of experimental.yaml, made by system.py without noise"
+    write_modes_csv(folder / "all_measured.csv", range(1, 7), modes, [message, "mass-normalised"])
     measured = modes.select([number - 1 for number in MODES])
     sensors = measured.rows(np.flatnonzero(np.isin(measured.nodes, SENSORS)))
-    write_modes_csv(folder / "measured.csv", MODES, sensors, [said])
+    write_modes_csv(folder / "measured.csv", MODES, sensors, [message])
 
 
 if __name__ == "__main__":

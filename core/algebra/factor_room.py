@@ -88,9 +88,9 @@ def roomy_factors(
     ordered = _ordered(upper, matching)
     if room is None:
         return ordered.in_memory(single=False)
-    factors, said = _roomy(ordered, columns, similar, room)
+    factors, text = _roomy(ordered, columns, similar, room)
     if factors.held:
-        logger.info("%s", said)
+        logger.info("%s", text)
     return factors
 
 
@@ -101,9 +101,9 @@ def factor_forecast(
 
     Raises as `roomy_factors` does.
     """
-    factors, said = _roomy(_ordered(upper), columns, similar, room)
+    factors, text = _roomy(_ordered(upper), columns, similar, room)
     factors.close()
-    return isinstance(factors, Mumps), said
+    return isinstance(factors, Mumps), text
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +147,8 @@ def _roomy(
         single, vectors, peak = True, vector * similar, told.single_peak
         text = f"{text}; in single precision {_gb(peak)}, in addition to {_gb(held + vectors)}"
         if held + vectors + peak <= room.memory_bytes:
-            said = "these are used, and products in double precision give the same modes"
-            return ordered.in_memory(True), f"{text}: {said}"
+            message = "these are used, and products in double precision give the same modes"
+            return ordered.in_memory(True), f"{text}: {message}"
     if not is_available():
         raise SolverExhausted(
             f"{text}: on disk they require MUMPS, which is unavailable: {REMEDY}, or raise "

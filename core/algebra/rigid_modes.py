@@ -94,12 +94,12 @@ class RigidByHand:
         found: by the energies. They say nothing where they are not known or not complete.
         """
         complete = np.abs(2.0 * strain_energies - eigenvalues) <= COMPLETE * np.abs(eigenvalues)
-        said = ""
+        text = ""
         if self.number > eigenvalues.size:
-            said = f"only {eigenvalues.size} modes were computed"
+            text = f"only {eigenvalues.size} modes were computed"
         elif complete[found : self.number].any():
             mode = found + int(np.argmax(complete[found : self.number]))
-            said = (
+            text = (
                 f"the strain energies say {found}: that of mode {mode + 1} at "
                 f"{np.sqrt(abs(eigenvalues[mode])) / (2.0 * np.pi):.4g} Hz is all of its "
                 "eigenvalue, so it is elastic"
@@ -107,12 +107,12 @@ class RigidByHand:
         elif self.number < found and complete[found:].all():
             share = 2.0 * strain_energies[self.number] / abs(eigenvalues[self.number])
             if np.isfinite(share):
-                said = (
+                text = (
                     f"the strain energies say {found}: that of mode {self.number + 1} is "
                     f"{share:.1g} of its eigenvalue, which is rounding"
                 )
-        if said:
+        if text:
             raise CampaignError(
-                f"{self.where}: {self.number} rigid modes, but {said}; leave the number out, or "
+                f"{self.where}: {self.number} rigid modes, but {text}; leave the number out, or "
                 "look at the supports"
             )

@@ -235,11 +235,11 @@ def _by_shape(wanted: ModeSet, computed: ModeSet, free: Integers) -> Pairing:
 
 def _placed(lost: Pairing, which: Integers, positions: Integers, reasons: Sequence[str]) -> Pairing:
     """With the positions of some modes that were found."""
-    computed, said = lost.computed.copy(), list(lost.reasons)
+    computed, text = lost.computed.copy(), list(lost.reasons)
     computed[which] = positions
     for mode, reason in zip(which.tolist(), reasons, strict=True):
-        said[mode] = reason
-    return replace(lost, computed=computed, reasons=tuple(said))
+        text[mode] = reason
+    return replace(lost, computed=computed, reasons=tuple(text))
 
 
 def _lost(n_modes: int, reason: str) -> Pairing:

@@ -211,20 +211,20 @@ def _lost(
     """Why a measured mode has no partner. macs, impossible: (n_computed,), of its row."""
     wanted, hz = float(measured.frequencies_hz[row]), computed.frequencies_hz
     possible = np.where(impossible, 0.0, macs)
-    said = (
+    text = (
         f"the measured mode at {wanted:.4g} Hz is not among the {hz.size} computed modes, to "
         f"{hz.max():.4g} Hz: the best MAC left for it is {possible.max():.2f}, at least "
         f"{lost_mac:.2f} is needed"
     )
     best = int(np.argmax(macs))
     if impossible[best] and macs[best] >= lost_mac:
-        said += (
+        text += (
             f"; the computed mode at {hz[best]:.4g} Hz, with MAC {macs[best]:.2f}, is no pair, as "
             f"the parameters' bounds and a model's error let it become {reach[0] * hz[best]:.4g} "
             f"to {reach[1] * hz[best]:.4g} Hz"
         )
-    said += "; check sensor nodes and directions, or compute more modes"
-    return LostMode(said, above=wanted > reach[0] * hz.max())
+    text += "; check sensor nodes and directions, or compute more modes"
+    return LostMode(text, above=wanted > reach[0] * hz.max())
 
 
 def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz: Floats) -> Floats:

@@ -293,11 +293,11 @@ def turn_name(matrix: Floats) -> str:
 
 def _exchange(matrix: Floats) -> str:
     """What each axis of the test is: x is -y."""
-    said = []
+    texts = []
     for column in range(3):
         row = int(np.argmax(np.abs(matrix[:, column])))
-        said.append(f"{NAMES[column]} is {'-' if matrix[row, column] < 0.0 else ''}{NAMES[row]}")
-    return ", ".join(said)
+        texts.append(f"{NAMES[column]} is {'-' if matrix[row, column] < 0.0 else ''}{NAMES[row]}")
+    return ", ".join(texts)
 
 
 def _mean_mac(measured: Shapes, computed: Shapes) -> float:

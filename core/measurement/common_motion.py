@@ -139,9 +139,9 @@ def turn_between(first: TestGeometry, second: TestGeometry) -> tuple[Floats, str
     turned = degrees_of(rotation)
     if np.sin(np.radians(min(turned, 90.0))) <= ALIGNED:
         return unturned, ""
-    said = f"its axes are turned by {turned:.3g} degrees, as {rows.size} common points lie"
+    text = f"its axes are turned by {turned:.3g} degrees, as {rows.size} common points lie"
     left = "; a turn about the line of the points stays open" if on_a_line else ""
-    return rotation, said + left
+    return rotation, text + left
 
 
 def _by_place(modes: ModeSet) -> dict[tuple[int, bool], list[int]]:

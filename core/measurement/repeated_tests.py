@@ -311,8 +311,8 @@ def _other_sensors(first: MeasuredModes, other: MeasuredModes) -> str:
         for test in (first, other)
     ]
     sides = (("it lacks", names[0] - names[1]), ("the first lacks", names[1] - names[0]))
-    said = [f"{what} {', '.join(sorted(there)[:6])}" for what, there in sides if there]
-    return f" ({'; '.join(said)})" if said else ", or in another order"
+    texts = [f"{what} {', '.join(sorted(there)[:6])}" for what, there in sides if there]
+    return f" ({'; '.join(texts)})" if texts else ", or in another order"
 
 
 def _scaled(wanted: Floats, test: MeasuredModes) -> Floats:
@@ -358,26 +358,26 @@ def _left_out(repeats: RepeatedTests, scatter: Scatter) -> list[str]:
     """What was missing, and what was left out as wrong, a sentence each."""
     there = np.isfinite(repeats.frequencies_hz)
     missing = int((~there).sum())
-    said = []
+    texts = []
     if missing:
         by = ", ".join(
             f"mode {number} in {lacks}"
             for number, lacks in zip(repeats.numbers, (~there).sum(axis=0).tolist(), strict=True)
             if lacks
         )
-        said.append(f"of {len(repeats.places)} tests not all found every mode: {by} not")
+        texts.append(f"of {len(repeats.places)} tests not all found every mode: {by} not")
     wrong = np.argwhere(there & ~scatter.used)
     for test, mode in wrong[:TOLD].tolist():
         found = np.where(scatter.used[test], repeats.frequencies_hz[test], np.nan)
         mean, deviation = scatter.expected(found, mode)
-        said.append(
+        texts.append(
             f"{repeats.places[test]}: mode {repeats.numbers[mode]} at "
             f"{repeats.frequencies_hz[test, mode]:.6g} Hz is left out: the other tests, and the "
             f"other modes of this one, lead to expect {mean:.6g} Hz within {deviation:.2g}"
         )
     if len(wrong) > TOLD:
-        said.append(f"{len(wrong) - TOLD} more values are left out")
-    return said
+        texts.append(f"{len(wrong) - TOLD} more values are left out")
+    return texts
 
 
 def damping_covariance(repeats: RepeatedTests, numbers: Sequence[int]) -> Floats:

@@ -208,16 +208,16 @@ def _told(found: FieldAnswer, names: Sequence[str], changes: Floats, noise: floa
             f"explains it as well: {each}{f'; and {more} more' if more > 0 else ''}."
         )
     top = int(np.argmax(np.abs(changes)))
-    said = [f"{name}: the largest change is {names[top]} {100 * changes[top]:+.3g} %."]
+    texts = [f"{name}: the largest change is {names[top]} {100 * changes[top]:+.3g} %."]
     if found.places:
         best = found.places[0]
         share = 100 * (1.0 - float(found.alone[best[0]]) / found.started)
         whole = 100 * (1.0 - found.left / found.started)
-        said.append(
+        texts.append(
             f"{name}: one zone alone, {_place(found, names, best)}, explains {share:.1f} % of "
             f"what the test says of the change (the field {whole:.1f} %)."
         )
-    return replace(found, doubts=tuple(doubts), sentences=tuple(said))
+    return replace(found, doubts=tuple(doubts), sentences=tuple(texts))
 
 
 def _place(found: FieldAnswer, names: Sequence[str], place: Integers) -> str:

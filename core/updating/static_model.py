@@ -132,8 +132,8 @@ class StaticModel:
         forces, sums = [load.on_equations(base, observe) for load in loads], []
         for item in readings:
             seen = observe(base, item.nodes, item.components)
-            said = [item.name] * item.nodes.size
-            _check(seen, item.nodes, item.components, said, seen.held & bool(seen.held.all()))
+            text = [item.name] * item.nodes.size
+            _check(seen, item.nodes, item.components, text, seen.held & bool(seen.held.all()))
             sums.append(item.factors @ seen.matrix)
         given = np.column_stack([load.acceleration for load in loads])
         accelerations = np.zeros((base.nodes.size, len(loads)))

@@ -272,10 +272,10 @@ def too_many_missed(n_missed: int, n_predicted: int) -> bool:
 
 def with_spread(trust: Trust, spread: StartSpread) -> Trust:
     """Return trust with the minima that searches from several starts found."""
-    said = "has another value at another minimum with as low a misfit"
+    text = "has another value at another minimum with as low a misfit"
     judged = []
     for place, item in enumerate(trust.parameters):
-        clauses = [said] if item.name in spread.differ else []
+        clauses = [text] if item.name in spread.differ else []
         if item.name in spread.valley and not item.doubtful:
             low, high = spread.extent[:, place]
             clauses.append(f"may be anywhere from {low:.4g} to {high:.4g}, along a valley")
@@ -314,10 +314,10 @@ def judge_parameters(
     for place, item in enumerate(parameters.parameters):
         value, error = float(updated[place]), float(standard_errors[place])
         share, change = float(found.test_shares[place]), value - float(start[place])
-        said = _bound_clause(item, value)
+        text = _bound_clause(item, value)
         scale = None if item.values == "relative" else item.scale
         if place in missing:
-            said["missing"] = "kept its value, because its sensitivity could not be computed"
+            text["missing"] = "kept its value, because its sensitivity could not be computed"
         elif place not in zones:
             mixed, like = (
                 [parameters.names[other] for other in group.get(place, ())]
@@ -325,26 +325,26 @@ def judge_parameters(
             )
             moves = float(found.moves[place]) * (item.upper - item.lower) / item.standard_deviation
             moved = "" if abs(change) < SHOWN else _change(scale, change)
-            said |= _share_clause(share, mixed, like, moves, moved)
+            text |= _share_clause(share, mixed, like, moves, moved)
         far = abs(value - 1.0) / item.standard_deviation
         where = "the deck" if scale is None else "its start"
         if far > FAR and place not in zones:
-            said["far"] = (
+            text["far"] = (
                 f"is {_change(scale, value - 1.0)} from {where}, {far:.1f} times the deviation it "
                 "was given: it may compensate for another error"
             )
         if (
-            not said
+            not text
             and place not in zones
             and np.isfinite(error)
             and error > max(abs(change), NEGLIGIBLE)
         ):
-            said["uncertain"] = (
+            text["uncertain"] = (
                 f"changed by {_change(scale, change)}, less than its standard error "
                 f"({_change(scale, error).replace('+', '±')}): the value it had fits as well"
             )
-        if np.isinf(error) and not set(said) - NO_DOUBT:
-            said["undetermined"] = "has no finite standard error: the test alone does not fix it"
+        if np.isinf(error) and not set(text) - NO_DOUBT:
+            text["undetermined"] = "has no finite standard error: the test alone does not fix it"
         others = sorted({*hidden.get(place, ()), *alike.get(place, ())})
         judged.append(
             ParameterTrust(
@@ -353,10 +353,10 @@ def judge_parameters(
                 error,
                 float(repeatability[place]),
                 share,
-                "on_bound" in said,
+                "on_bound" in text,
                 tuple(parameters.names[other] for other in others),
-                tuple(said),
-                tuple(said.values()),
+                tuple(text),
+                tuple(text.values()),
                 scale,
             )
         )
@@ -423,16 +423,16 @@ def trust_sentences(trust: Trust) -> tuple[str, ...]:
 
 def combination_sentences(names: tuple[str, ...], found: Identifiability) -> tuple[str, ...]:
     """Return a sentence for each combination that the test does not determine."""
-    said = [_unseen_sentence(names, item) for item in found.unseen if len(item.members) > 1]
+    texts = [_unseen_sentence(names, item) for item in found.unseen if len(item.members) > 1]
     told = {place for item in found.unseen for place in item.members}
     for subset, index in found.collinearity.above(ALIKE):
         if not told & set(subset):
-            said.append(
+            texts.append(
                 f"{_listed([names[place] for place in subset])} have almost the same effect on "
                 f"these modes (collinearity index {index:.0f}): a small error of the test or the "
                 "model moves them in opposite directions."
             )
-    return tuple(said)
+    return tuple(texts)
 
 
 def ending_sentence(trust: Trust) -> str:
@@ -549,15 +549,15 @@ def _spread_sentences(trust: Trust) -> list[str]:
     if spread is None:
         return ["Uniqueness not tested: no other starting point was tried."]
     names, n = [item.name for item in trust.parameters], spread.n_starts
-    said = [_starts_sentence(spread, n)]
+    texts = [_starts_sentence(spread, n)]
     if spread.valley:
         ranges = ", ".join(
             f"{name} {low:.4g} to {high:.4g}"
             for name, low, high in zip(names, *spread.extent, strict=True)
             if name in spread.valley
         )
-        said.append(f"Along a valley the misfit rises by no more than noise: {ranges}.")
-    return [*said, *_rival_sentences(trust, spread, names), *_worse_sentence(spread)]
+        texts.append(f"Along a valley the misfit rises by no more than noise: {ranges}.")
+    return [*texts, *_rival_sentences(trust, spread, names), *_worse_sentence(spread)]
 
 
 def _starts_sentence(spread: StartSpread, n: int) -> str:
@@ -580,7 +580,7 @@ def _rival_sentences(trust: Trust, spread: StartSpread, names: list[str]) -> lis
     answer = _values(names, [item.updated for item in trust.parameters])
     good = "fit as well" if trust.fit_as_well else "have as low a misfit"
     one = "fit as well" if trust.fit_as_well else "have a misfit as low"
-    said = []
+    texts = []
     if spread.exchanged:
         ends = [spread.lowest(number) for number in spread.exchanged]
         own = np.array([item.updated for item in trust.parameters])
@@ -592,12 +592,12 @@ def _rival_sentences(trust: Trust, spread: StartSpread, names: list[str]) -> lis
             what = f"Another minimum, an exchange of the values of {which}, {verb}:"
         else:
             what = f"{len(ends)} more minima, exchanges of the values of {which}, {good}, such as"
-        said.append(f"{what} {example}; the answer is {answer}.")
+        texts.append(f"{what} {example}; the answer is {answer}.")
     for number in spread.rivals:
         if number not in spread.exchanged:
             values = _values(names, spread.updated[spread.lowest(number)].tolist())
-            said.append(f"Other values {one}: {values}; the answer is {answer}.")
-    return said
+            texts.append(f"Other values {one}: {values}; the answer is {answer}.")
+    return texts
 
 
 def _worse_sentence(spread: StartSpread) -> list[str]:

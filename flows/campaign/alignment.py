@@ -217,7 +217,7 @@ def _registered(
     """
     if scale is not None:
         return poses_at(scale), []
-    told = "the test has no unit of length"
+    text = "the test has no unit of length"
     ratio = model / max(test, 1e-300)
     units = {name: size / metres for name, size in LENGTH_METRES.items()}
     for name, of_units in sorted(units.items(), key=lambda item: -item[1]):
@@ -225,32 +225,32 @@ def _registered(
             continue
         fixed = poses_at(of_units)
         if fixed.best.rms <= GOOD_FIT * test * of_units and fixed.best.used.all():
-            return fixed, [f"{told}; assumed {name}, which fits the model"]
+            return fixed, [f"{text}; assumed {name}, which fits the model"]
     free = poses_at(None)
-    return free, [f"{told} and no known unit fits; the fitted scale is {free.best.scale:.6g}"]
+    return free, [f"{text} and no known unit fits; the fitted scale is {free.best.scale:.6g}"]
 
 
 def _doubts(found: Registration, best: Alignment, tolerance: float, unit: str) -> tuple[str, ...]:
     """Return why a fitted alignment is uncertain, other poses aside."""
-    said = []
+    texts = []
     if found.mirrored:
-        said.append(
+        texts.append(
             "the mirror image of the test's points fits far better: the test's axes are "
             "left-handed; reverse one axis in the test file"
         )
     if found.slides > tolerance:
-        said.append(
+        texts.append(
             f"the fit leaves positions along the surface uncertain by up to "
             f"{found.slides:.3g}{_in(unit)}"
         )
     if best.rms > tolerance / 2.0:
-        said.append(
+        texts.append(
             f"the rms distance of the test points from the model is {best.rms:.4g}{_in(unit)}: "
             "check the picture"
         )
     if best.used.mean() < 0.7:
-        said.append(f"only {best.used.sum()} of {best.used.size} test points are on the model")
-    return tuple(said)
+        texts.append(f"only {best.used.sum()} of {best.used.size} test points are on the model")
+    return tuple(texts)
 
 
 def _size_doubts(

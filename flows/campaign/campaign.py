@@ -188,7 +188,7 @@ class Campaign:
     def splits(self) -> tuple[str, ...]:
         """Cards that were added to the decks for the elements of parameters, a sentence each."""
         return tuple(
-            dict.fromkeys(said for case in self.cases for said in case.solver.deck.splits())
+            dict.fromkeys(text for case in self.cases for text in case.solver.deck.splits())
         )
 
     def write_updated(self, values: Values, folder: Path) -> Path:
@@ -303,9 +303,9 @@ def _read_cases(
         return [] if case is None else [case]
     cases = []
     for item in configuration_files(source, file, problems):
-        said: list[str] = []
-        case = _read_case(item.source, item.file, said) if item.columns else None
-        problems += said
+        texts: list[str] = []
+        case = _read_case(item.source, item.file, texts) if item.columns else None
+        problems += texts
         if case is not None:
             section = item.section
             cases.append(
@@ -352,8 +352,8 @@ def _read_case(
         problems += file.residuals.problems(source, given, solver)
     if problems:
         return None
-    for said in file.residuals.warnings(source, given):
-        logger.warning("%s", said)
+    for text in file.residuals.warnings(source, given):
+        logger.warning("%s", text)
     parameters, gauged = given.parameters, file.residuals.nodes(solver.deck)
     return Case(
         solver=solver,
@@ -409,10 +409,10 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
         return None
     for position, parameter in enumerate(parameters):
         place = source.where(("parameters", position))
-        problems += [f"{place}: {said}" for said in solver.deck.problems((parameter,))]
+        problems += [f"{place}: {text}" for text in solver.deck.problems((parameter,))]
     if not problems:  # interactions of several parameters
         place = source.where(("parameters",))
-        problems += [f"{place}: {said}" for said in solver.deck.problems(parameters)]
+        problems += [f"{place}: {text}" for text in solver.deck.problems(parameters)]
     number = file.model.rigid_modes
     if number == "auto":
         return solver
@@ -469,8 +469,8 @@ def method_problems(source: YamlFile, file: CampaignFile, solver: Solver) -> lis
     }
     if not offered.get(method, True):
         why = untested_capabilities(solver) if method == "semi_analytic" and has.matrices else ""
-        said = f"{solver.program.name} has no {method} sensitivities for this campaign"
-        return [f"{place}: {why or said}; use `auto`"]
+        text = f"{solver.program.name} has no {method} sensitivities for this campaign"
+        return [f"{place}: {why or text}; use `auto`"]
     if file.model.eigensolver == "solver" and file.update.confirm == "matrices":
         where = source.where(("update", "confirm"))
         return [

@@ -100,11 +100,11 @@ def _joint_problems(
     for place, item in enumerate(file.configurations):
         if names.count(item.name) > 1:
             other = " (it is that of the campaign's own model and test)" * (item.name == BASE)
-            said = f"configurations: the name {item.name} is given twice{other}"
-            add(("configurations", place, "name"), said)
+            text = f"configurations: the name {item.name} is given twice{other}"
+            add(("configurations", place, "name"), text)
     if not used:
-        said = "all configurations are held out; updating needs at least one"
-        add(("configurations",), said)
+        text = "all configurations are held out; updating needs at least one"
+        add(("configurations",), text)
     for place, parameter in enumerate(file.parameters):
         own, at = set(parameter.configurations or ()), ("parameters", place, "configurations")
         unknown = sorted(own - set(names))
@@ -112,14 +112,14 @@ def _joint_problems(
             near = suggestion(unknown[0], names)
             add(at, f"{parameter.name}: there is no configuration {unknown[0]}{near}")
         if own.isdisjoint(used) and parameter.configurations is not None:
-            said = f"{parameter.name} is in none of the used configurations "
-            add(at, said + ", ".join(used))
+            text = f"{parameter.name} is in none of the used configurations "
+            add(at, text + ", ".join(used))
     if file.update.start == "last":
-        said = "`start: last` needs a single configuration; leave it out"
-        add(("update", "start"), said)
+        text = "`start: last` needs a single configuration; leave it out"
+        add(("update", "start"), text)
     if file.run.engine == "dask":
-        said = "several configurations need `engine: local` or `slurm`"
-        add(("run", "engine"), said)
+        text = "several configurations need `engine: local` or `slurm`"
+        add(("run", "engine"), text)
     return found
 
 

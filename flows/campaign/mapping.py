@@ -100,14 +100,14 @@ class Mapping:
     @property
     def uncertain(self) -> tuple[tuple[str, str], ...]:
         """Why the alignment is uncertain, and what to do, a sentence each; mostly none."""
-        said = [(doubt, REMEDY) for doubt in self.doubts]
+        texts = [(doubt, REMEDY) for doubt in self.doubts]
         if self.others:
             poses = "; ".join(pose_of(item) for item in (self, *self.others)[:LISTED_POSES])
             more = len(self.others) + 1 - LISTED_POSES
             poses += f" and {more} more" if more > 0 else ""
             many = f"{1 + len(self.others)} poses of the test fit equally well"
-            said.append((f"{many}: {poses}", CHOICE))
-        return tuple(said)
+            texts.append((f"{many}: {poses}", CHOICE))
+        return tuple(texts)
 
     @property
     def doubtful(self) -> tuple[SensorRow, ...]:
@@ -302,8 +302,8 @@ class _Mapper:
     def _nearest(self, nodes: Integers, distances: Floats) -> MappedNode:
         node, distance = int(nodes[0]), float(distances[0])
         if distance > self.tolerance:
-            said = f"the nearest node, {node}, is {self.length(distance)} away"
-            return MappedNode(0, distance, said)
+            text = f"the nearest node, {node}, is {self.length(distance)} away"
+            return MappedNode(0, distance, text)
         doubts = []
         if distance > self.tolerance / 2.0:
             doubts.append("more than half the tolerance away")
@@ -385,21 +385,21 @@ class _Mapper:
         if not reasons:
             return ()
         count = "1 sensor is" if len(reasons) == 1 else f"{len(reasons)} sensors are"
-        said = (
+        text = (
             f"{count} without a node in the model (tolerance {self.length(self.tolerance)}): "
             + "; ".join([*reasons][:REASONS])
             + (f"; and {len(reasons) - REASONS} more" if len(reasons) > REASONS else "")
         )
         remain = any(row.verdict != "left out" for row in table)
         if self.settings.unmapped == "leave_out" and remain:
-            return (f"left out: {said}",)
+            return (f"left out: {text}",)
         ways = []
         if self.settings.by == "position" and self.modes.n_dof:
             fit = "`align: fit` fits rotation, scale and position"
             ways += ["`match` assigns nodes" if self.settings.fits else fit]
             ways += ["`tolerance` allows larger distances"]
         ways += ["`unmapped: leave_out` drops them"] if remain else ["no other sensor remains"]
-        raise CampaignError([f"{said}. In test.sensors: {', '.join(ways)}", *notes])
+        raise CampaignError([f"{text}. In test.sensors: {', '.join(ways)}", *notes])
 
     def _mapping(
         self,

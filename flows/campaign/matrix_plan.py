@@ -143,8 +143,8 @@ def unsuitable(solver: Solver, parameters: tuple[Parameter, ...], method: Method
         sampled = sampling(solver, parameter, 0.0)
         if sampled.affected is None:
             why = solver.deck.preload()
-            said = f"the stiffness is not a polynomial in {parameter.name}"
-            return f"{said} ({why})" if why else said
+            text = f"the stiffness is not a polynomial in {parameter.name}"
+            return f"{text} ({why})" if why else text
         found.append((parameter, sampled))
     for one, other in combinations(found, 2):
         if scale_together(one, other):

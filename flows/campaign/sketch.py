@@ -178,7 +178,7 @@ def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:
         missing = f"; not usable: {', '.join(refused)}" if refused else ""
         return solver, name, f"{how}{missing}; --solver selects another"
     by_reason: dict[str, list[str]] = {}
-    for name, said in refused.items():
-        by_reason.setdefault(said, []).append(name)
-    reasons = (f"{' and '.join(names)}: {said}" for said, names in by_reason.items())
+    for name, text in refused.items():
+        by_reason.setdefault(text, []).append(name)
+    reasons = (f"{' and '.join(names)}: {text}" for text, names in by_reason.items())
     raise ModelError("\n".join((f"no solver can run {deck}:", *reasons)))

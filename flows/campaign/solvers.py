@@ -97,18 +97,18 @@ def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Sol
         )
     entry = found[name]
     package = f"package {entry.dist.name} {entry.dist.version}" if entry.dist else "its package"
-    said = f"the solver {name} is `{entry.value}` of {package}"
+    text = f"the solver {name} is `{entry.value}` of {package}"
     try:
         bind = entry.load()
     except Exception as error:  # importing a foreign module may raise anything
         raise ModelError(
-            f"{said}, which cannot be imported: {type(error).__name__}: {error}; repair or remove "
+            f"{text}, which cannot be imported: {type(error).__name__}: {error}; repair or remove "
             "that package"
         ) from error
     solver = bind(deck, parameters) if callable(bind) else bind
     if not isinstance(solver, Solver):
         raise ModelError(
-            f"{said}, which gives a {type(solver).__name__} and must give a Solver of "
+            f"{text}, which gives a {type(solver).__name__} and must give a Solver of "
             "modetune.adapters.solver"
         )
     return solver

@@ -46,7 +46,7 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     except ModesError as error:
         problems.append(f"{source.where(('test', 'sensors'))}: {error}")
         return None
-    said = ", ".join(names)
+    text = ", ".join(names)
     if file.test.repeats:
         again = _with_repeats(source, file, measurement, problems)
         if again is None:
@@ -54,7 +54,7 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         measurement = again
     test = measurement.modes
     if test is None:
-        problems.append(f"{source.where(('test', 'modes'))}: {said} holds no modes")
+        problems.append(f"{source.where(('test', 'modes'))}: {text} holds no modes")
         return None
     has = ", ".join(map(str, test.numbers))
     unknown = False
@@ -64,7 +64,7 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
             unknown = True
             asked = "asked for" if key == "use" else "to be held out"
             problems.append(
-                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {said} "
+                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {text} "
                 f"has modes {has}"
             )
     pairs = _pair_problems(source, file, test)
@@ -73,14 +73,14 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         return None
     if not used_numbers(file, test):
         problems.append(
-            f"{source.where(('test', 'hold_out'))}: all modes of {said} ({has}) are "
+            f"{source.where(('test', 'hold_out'))}: all modes of {text} ({has}) are "
             "held out, so nothing is left to update with"
         )
         return None
     if file.residuals.with_shapes and not test.has_shapes:
         problems.append(
             f"{source.where(('residuals', 'shape_weight'))}: shapes are to be compared, but "
-            f"{said} holds frequencies only"
+            f"{text} holds frequencies only"
         )
     used, held_out = used_numbers(file, test), file.test.hold_out
     step = file.update.step

@@ -54,11 +54,11 @@ def guessed_units(solver: Solver) -> tuple[Units | None, str]:
     fitting = [units for units, weight in score.items() if weight and weight == max(score.values())]
     name = max(known, key=lambda item: (masses.get(item, 0.0), known[item][1] > 0.0))
     modulus, density = known[name]
-    said = f"E {modulus:.6g}" + (f" and density {density:.6g}" if density else "") + f" of {name}"
+    text = f"E {modulus:.6g}" + (f" and density {density:.6g}" if density else "") + f" of {name}"
     if len(fitting) == 1:
-        return fitting[0], f"{said} are those of a real material in {fitting[0]}"
+        return fitting[0], f"{text} are those of a real material in {fitting[0]}"
     among = f"fit {' and '.join(fitting)}" if fitting else "fit no known units"
-    return None, f"{said} {among}"
+    return None, f"{text} {among}"
 
 
 def _real(units: Units, modulus: float, density: float) -> bool:

@@ -152,8 +152,8 @@ def _figures(result: Outcome, folder: Path) -> list[Path]:
     receptances = [state.point_receptances() for state in hz]
     for mass in result.shown:
         test, before, after = (values[:, mass - 1] for values in receptances)
-        said = ", not measured" if mass in result.unmeasured else ""
-        title = f"{result.title}\npoint receptance of mass {mass}{said}"
+        text = ", not measured" if mass in result.unmeasured else ""
+        title = f"{result.title}\npoint receptance of mass {mass}{text}"
         curves = [
             ResponseCurve("test", "experimental", test),
             ResponseCurve("before", "analytical", before),

@@ -74,24 +74,24 @@ def _lines(draft: Draft) -> list[str]:
     """Return what the draft contains and what to do next."""
     sketch, test = draft.sketch, draft.test
     how = f", which {sketch.by_solver}" if sketch.by_solver else ""
-    said = [f"model    {sketch.deck}, on {sketch.name}{how}"]
+    texts = [f"model    {sketch.deck}, on {sketch.name}{how}"]
     if sketch.units is None:
-        said.append(f"units    UNKNOWN ({sketch.by_units}): enter them in the file")
+        texts.append(f"units    UNKNOWN ({sketch.by_units}): enter them in the file")
     else:
         why = f"; guessed: {sketch.by_units}" if sketch.by_units else ""
-        said.append(f"units    {sketch.units}{why}")
+        texts.append(f"units    {sketch.units}{why}")
     if test is not None:
         modes, left = test.measurement.modes, len(test.mapping.left_out)
         assert modes is not None
         at = f"identified into {test.identified}, at" if test.identified else "at"
         out = f", {left} left out" if left else ""
-        said += [
+        texts += [
             f"test     {len(modes.numbers)} modes {at} {len(test.mapping.table)} sensors{out}",
             f"sensors  {test.about}",
         ]
     free = [item.parameter.name for item in draft.free]
-    said.append(
+    texts.append(
         f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {listed(free)}; "
         "the others are commented out"
     )
-    return [*said, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]
+    return [*texts, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]

@@ -62,12 +62,12 @@ def server_stop() -> None:
     """Stop the shared server."""
     from modetune.flows.jobs import prefect_server as process
 
-    said = {
+    text = {
         "stopped": "stopped",
         "none": "no shared server is running",
         "in use": "a campaign is using the server; it was left running",
     }
-    typer.echo(said[process.stop_server(process.server_home())])
+    typer.echo(text[process.stop_server(process.server_home())])
 
 
 @contextmanager

@@ -123,8 +123,8 @@ def store_size(store: StorePlace = None, as_json: AsJson = False) -> None:
         SumRow(*name, files, shown_size(size), wall_s)
         for name, (files, size, wall_s) in sorted_sums
     ]
-    said = f"{place.folder} holds {shown_size(total)}"
-    print_result(told, [table_of("", rows, SumRow), said], as_json)
+    text = f"{place.folder} holds {shown_size(total)}"
+    print_result(told, [table_of("", rows, SumRow), text], as_json)
 
 
 def store_check(store: StorePlace = None, as_json: AsJson = False) -> None:
@@ -254,8 +254,8 @@ def _tell_removed(folder: Path, gone: Sequence[StoreFile], dry_run: bool, as_jso
     for what, count in Counter(item.what for item in gone).most_common():
         size = sum(item.size for item in gone if item.what == what)
         lines.append(f"{count:7} {what}: {shown_size(size)}")
-    said = "would be freed" if dry_run else "freed"
-    lines.append(f"{shown_size(total)} {said} in {folder}" if gone else "nothing to remove")
+    text = "would be freed" if dry_run else "freed"
+    lines.append(f"{shown_size(total)} {text} in {folder}" if gone else "nothing to remove")
     print_result(done, lines, as_json)
 
 

@@ -257,12 +257,12 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> I
     all_there: the model has no further modes.
     """
     highest, last = float(test.modes.frequencies_hz.max()), float(elastic.frequencies_hz.max())
-    said = f"{elastic.n_modes} elastic modes up to {last:.4g} Hz; the test's up to {highest:.4g} Hz"
+    text = f"{elastic.n_modes} elastic modes up to {last:.4g} Hz; the test's up to {highest:.4g} Hz"
     if all_there or last >= (1.0 + MARGIN) * highest:
-        yield MODES.good(said)
+        yield MODES.good(text)
         return
     yield MODES.doubtful(
-        f"{said}: the margin is less than {100 * MARGIN:.0f} %",
+        f"{text}: the margin is less than {100 * MARGIN:.0f} %",
         "",
         "updating extends the range if it does not find a mode; a model that is much too soft, or "
         "test modes that were left out, can be the cause",
@@ -295,8 +295,8 @@ def unmeasured(
         )
     others = [place for place in free if place not in distinct]
     if others:
-        said = f"elastic mode {_at(elastic, others)} is paired with no test mode"
-        yield MODES.good(said)
+        text = f"elastic mode {_at(elastic, others)} is paired with no test mode"
+        yield MODES.good(text)
 
 
 def _at(elastic: ModeSet, places: list[int]) -> str:

@@ -137,49 +137,49 @@ def differences(job: JobDescription, other: JobDescription) -> tuple[str, ...]:
 
 def list_differences(job: JobDescription, other: JobDescription) -> list[str]:
     """Return the differences between the known parts of two jobs."""
-    told = []
+    texts = []
     if job.solver != other.solver:
-        told.append(f"solver {job.solver}, there {other.solver}")
+        texts.append(f"solver {job.solver}, there {other.solver}")
     elif job.solver_version != other.solver_version:
-        told.append(f"{job.solver} {job.solver_version}, there {other.solver_version}")
+        texts.append(f"{job.solver} {job.solver_version}, there {other.solver_version}")
     if job.kind != other.kind:
-        told.append(f"{job.kind} analysis, there {other.kind}")
+        texts.append(f"{job.kind} analysis, there {other.kind}")
     known = job.note is not None and other.note is not None
     if job.note is not None and other.note is not None:
-        told += _by_notes(job.note, other.note)
+        texts += _by_notes(job.note, other.note)
     ours, theirs = dict(job.asked), dict(other.asked)
     if ours and theirs:
         for name in sorted(ours.keys() | theirs.keys()):
             covered = name in IN_NOTES if known else name in ("solver", "version")
             covered = covered or (name == "groups" and job.kind != other.kind)
             if ours.get(name) != theirs.get(name) and not covered:
-                told.append(_part(name, ours.get(name), theirs.get(name)))
-    return told
+                texts.append(_part(name, ours.get(name), theirs.get(name)))
+    return texts
 
 
 def _by_notes(note: JobNote, other: JobNote) -> list[str]:
-    told = []
+    texts = []
     if note.model_digest != other.model_digest:
         names = f" ({note.model}, there {other.model})" if note.model != other.model else ""
-        told.append(f"{DECK}{names}")
+        texts.append(f"{DECK}{names}")
     ours, theirs = dict(note.values), dict(other.values)
     for name in sorted(ours.keys() | theirs.keys()):
         here, there = ours.get(name, 1.0), theirs.get(name, 1.0)  # 1 is the deck's own value
         if here != there:
-            told.append(f"{name} {_number(here, there)}, there {_number(there, here)}")
+            texts.append(f"{name} {_number(here, there)}, there {_number(there, here)}")
     if note.analysis != other.analysis:
-        return told
+        return texts
     if note.n_modes != other.n_modes:
-        told.append(f"{note.n_modes} modes, there {other.n_modes}")
+        texts.append(f"{note.n_modes} modes, there {other.n_modes}")
     if note.n_nodes != other.n_nodes:
-        told.append(f"shapes at {note.n_nodes} nodes, there at {other.n_nodes}")
+        texts.append(f"shapes at {note.n_nodes} nodes, there at {other.n_nodes}")
     elif note.nodes_digest != other.nodes_digest:
-        told.append(f"shapes at {note.n_nodes} nodes, there at as many others")
+        texts.append(f"shapes at {note.n_nodes} nodes, there at as many others")
     if note.columns != other.columns:
-        told.append(
+        texts.append(
             f"derivatives by {', '.join(note.columns)}, there by {', '.join(other.columns)}"
         )
-    return told
+    return texts
 
 
 def _number(value: float, beside: float) -> str:
@@ -199,7 +199,7 @@ def _part(name: str, here: str | None, there: str | None) -> str:
 
 def describe(job: JobDescription) -> list[tuple[str, str]]:
     """Return a job's description as rows of (heading, text)."""
-    told = [("solver", f"{job.solver} {job.solver_version}".strip())]
+    texts = [("solver", f"{job.solver} {job.solver_version}".strip())]
     note = job.note
     if note is None:
         what = (
@@ -210,7 +210,7 @@ def describe(job: JobDescription) -> list[tuple[str, str]]:
         parts = [
             f"{WORDS.get(name, name)} {value}" for name, value in job.asked if len(value) <= LONGEST
         ]
-        return [("what", f"{job.kind}, {what}"), *told, ("asked", "; ".join(parts) or "not known")]
+        return [("what", f"{job.kind}, {what}"), *texts, ("asked", "; ".join(parts) or "not known")]
     what = f"{note.analysis} analysis of {note.model}"
     if note.n_modes:
         what += f", {note.n_modes} modes"
@@ -219,7 +219,7 @@ def describe(job: JobDescription) -> list[tuple[str, str]]:
     if note.columns:
         what += f", derivatives by {', '.join(note.columns)}"
     values = ", ".join(f"{name} {value:.6g}" for name, value in note.values)
-    return [("what", what), *told, ("at", f"{values or 'no parameters'} (relative to the deck)")]
+    return [("what", what), *texts, ("at", f"{values or 'no parameters'} (relative to the deck)")]
 
 
 logger = logging.getLogger(__name__)

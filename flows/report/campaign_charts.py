@@ -159,9 +159,9 @@ def parameter_histories(record: CampaignRecord) -> Chart:
         again, shade = divmod(place, len(PARAMETER_COLOURS))
         colour, line = PARAMETER_COLOURS[shade], ("-", "--", ":")[again % 3]
         looks = (kept, "", (line, "o")), (tried, " (not kept)", ("", "ring"))
-        for which, said, look in looks:
+        for which, text, look in looks:
             values = np.array([item.parameters[place] for item in which])
-            tooltips = tuple(f"{name}: {value:.4f}{said}" for value in values)
+            tooltips = tuple(f"{name}: {value:.4f}{text}" for value in values)
             numbers = np.array([item.number for item in which])
             if which:
                 items.append(
@@ -187,9 +187,9 @@ def field_chart(found: FieldMap) -> Chart:
     for place, colour in enumerate(FIELD_COLOURS):
         own = np.flatnonzero(classes == place)
         if own.size:
-            said = tuple(tooltips[row] for row in own)
+            text = tuple(tooltips[row] for row in own)
             name = f"{ends[place]:.3g} to {ends[place + 1]:.3g}"
-            dots.append(Curve(name, along[own], across[own], colour, "", "s", tooltips=said))
+            dots.append(Curve(name, along[own], across[own], colour, "", "s", tooltips=text))
     order = np.argsort(found.elements, kind="stable")
     x, y, reach = positions(order.tolist()), found.values[order], 2.0 * found.errors[order]
     curves = (

@@ -92,10 +92,10 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
         best.parameters - start,
         prior=factor * prior_precision(fields, offset, own.standard_deviations) if fields else None,
     )
-    said = model_form_sentence(form, labels, record.parameters.names, updated=True)
+    text = model_form_sentence(form, labels, record.parameters.names, updated=True)
     if form.suspected:
-        said += " `modetune localise` shows where."
-    return FormVerdict(form, labels, said)
+        text += " `modetune localise` shows where."
+    return FormVerdict(form, labels, text)
 
 
 def verdict_summary(record: CampaignRecord) -> Json:

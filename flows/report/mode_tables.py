@@ -74,8 +74,8 @@ def unmatched_sentence(record: CampaignRecord) -> str:
     names = [mode_label(record, place) for place in unmatched_modes(record)]
     if not names:
         return ""
-    said = "mode " + names[0] if len(names) == 1 else "modes " + ", ".join(names)
-    return f"No computed mode is paired with {said} of the test, so updating left it out."
+    text = "mode " + names[0] if len(names) == 1 else "modes " + ", ".join(names)
+    return f"No computed mode is paired with {text} of the test, so updating left it out."
 
 
 def mode_rows(record: CampaignRecord) -> tuple[ModeRow, ...]:

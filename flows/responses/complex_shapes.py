@@ -38,5 +38,5 @@ class ComplexSection(ModewiseSection):
     def problems(self, given: TestedModel) -> Iterator[tuple[Place, str]]:
         if given.complex_shapes is None:
             yield (), "the test's shapes are real: compare them by `shape_weight`"
-        elif said := given.deck.undamped():
-            yield (), said
+        elif text := given.deck.undamped():
+            yield (), text

@@ -36,7 +36,7 @@ class DampingSection(ModewiseSection):
         weights = self.weights(given.test.numbers)
         for number, ratio in zip(given.test.numbers, ratios.tolist(), strict=True):
             if ratio <= 0.0 and weights[number]:
-                said = f"mode {number} has the damping ratio {ratio:g}, which must be above zero"
-                yield ("weight",), f"{said}: give it weight 0"
-        if said := given.deck.undamped():
-            yield (), said
+                text = f"mode {number} has the damping ratio {ratio:g}, which must be above zero"
+                yield ("weight",), f"{text}: give it weight 0"
+        if text := given.deck.undamped():
+            yield (), text

@@ -108,8 +108,8 @@ class FrfSection(ResponseSection):
     def problems(self, given: TestedModel) -> list[tuple[Place, str]]:
         frfs = given.frfs
         if frfs is None or given.seen is None:
-            said = [note for note in given.notes if OF_FUNCTIONS in note]
-            why = f" ({'; '.join(said)})" if said else "; name their files in test.modes as well"
+            texts = [note for note in given.notes if OF_FUNCTIONS in note]
+            why = f" ({'; '.join(texts)})" if texts else "; name their files in test.modes as well"
             return [((), f"the test has no response functions that can be used{why}")]
         found: list[tuple[Place, str]] = []
         told = frfs.coherences
@@ -161,11 +161,11 @@ class FrfSection(ResponseSection):
             name, ends = curve_name(frfs, column), _ends(frfs, column)
             lacking = [dof_name(end) for end in ends if end not in places]
             if lacking:
-                said = f"the model has no sensor at {lacking[0]}"
-                reasons.setdefault(said, []).append(name)
+                text = f"the model has no sensor at {lacking[0]}"
+                reasons.setdefault(text, []).append(name)
             elif name not in compared:
-                said = f"none exceeds the noise between {low:g} and {high:g} Hz"
-                reasons.setdefault(said, []).append(name)
+                text = f"none exceeds the noise between {low:g} and {high:g} Hz"
+                reasons.setdefault(text, []).append(name)
         for reason, names in reasons.items():
             listed = ", ".join(name.removeprefix("response function ") for name in names)
             found.append(

@@ -130,26 +130,26 @@ class ResidualSection(Section):
         """Return why these types do not fit a test and a model, each with file and line."""
         found = []
         for kind, section in self.kinds.items():
-            said = list(section.problems(given))
+            texts = list(section.problems(given))
             if "matrices" in section.response(given).needs:
                 if not solver.program.capabilities.matrices:
                     name = solver.program.name
                     needs = "gives no matrices, which it requires; run the deck on CalculiX or "
-                    said.append(((), f"{name} {needs}MYSTRAN (`model.solver`), or leave it out"))
+                    texts.append(((), f"{name} {needs}MYSTRAN (`model.solver`), or leave it out"))
                 elif solver.deck.preload():
-                    said.append(((), f"{solver.deck.preload()}: the stiffness depends on a state"))
+                    texts.append(((), f"{solver.deck.preload()}: the stiffness depends on a state"))
             found += [
                 f"{source.where(('residuals', kind, *place))}: residuals.{kind}: {text}"
-                for place, text in said
+                for place, text in texts
             ]
         return found
 
     def warnings(self, source: YamlFile, given: TestedModel) -> list[str]:
         """Return the parts of the test that are not compared, each with file and line."""
         return [
-            f"{source.where(('residuals', kind))}: {said}"
+            f"{source.where(('residuals', kind))}: {text}"
             for kind, section in self.kinds.items()
-            for said in section.warnings(given)
+            for text in section.warnings(given)
         ]
 
     @property
@@ -241,15 +241,15 @@ def weight_problems(
     for keys, values in section.by_mode:
         judged = (*used, *held_out) if keys == ("frequency_deviation",) else used
         for name in values:
-            said = "" if name == OTHERS else _mode_problem(name, test.numbers, judged)
-            if said:
+            text = "" if name == OTHERS else _mode_problem(name, test.numbers, judged)
+            if text:
                 where = source.where(("residuals", *keys, name))
-                found.append(f"{where}: residuals.{'.'.join(keys)}: {said}")
+                found.append(f"{where}: residuals.{'.'.join(keys)}: {text}")
     for key in get_args(SensorKey):
         found += [
-            f"{source.where(('residuals', key, name))}: residuals.{key}: {said}"
+            f"{source.where(('residuals', key, name))}: residuals.{key}: {text}"
             for name in getattr(section, key)
-            if (said := _sensor_problem(name, test))
+            if (text := _sensor_problem(name, test))
         ]
     return found or _idle(source, section, step, measurement, test.use(tuple(used)))
 

@@ -63,19 +63,19 @@ def section_problems(
         place = item["loc"]
         if any(len(other) > len(place) and other[: len(place)] == place for other in places):
             continue  # a problem inside it also causes this one
-        said, given = item["msg"].removeprefix("Value error, "), item["input"]
+        text, given = item["msg"].removeprefix("Value error, "), item["input"]
         if item["type"] == "extra_forbidden":
             near = suggestion(str(place[-1]), _keys(section, place[:-1]))
-            said = f"unknown key `{place[-1]}`{near}"
+            text = f"unknown key `{place[-1]}`{near}"
         elif item["type"] == "missing":
-            said = f"the key `{place[-1]}` is missing"
+            text = f"the key `{place[-1]}` is missing"
         elif item["type"] == "literal_error":
             known = re.findall(r"'([^']*)'", item["ctx"]["expected"])
-            said = f"unknown value `{given}`{suggestion(str(given), known)}"
+            text = f"unknown value `{given}`{suggestion(str(given), known)}"
         elif not isinstance(given, dict | list):
-            said = f"{said}; found {given!r}"
+            text = f"{text}; found {given!r}"
         key = ".".join(map(str, place)) or name
-        found.append(f"{file.where(place)}: {key}: {said}")
+        found.append(f"{file.where(place)}: {key}: {text}")
     return found
 
 

@@ -156,9 +156,9 @@ def campaign_trust(
         freedom=_freedom(campaign, last, matrix),
         unseen=(
             *combination_sentences(parameters.names, found),
-            *(said for item in answers for said in item.doubts),
+            *(text for item in answers for text in item.doubts),
         ),
-        notes=(*(said for item in answers for said in item.sentences), *_real_parts(campaign)),
+        notes=(*(text for item in answers for text in item.sentences), *_real_parts(campaign)),
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,

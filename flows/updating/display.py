@@ -41,10 +41,10 @@ def iteration_line(record: IterationRecord) -> str:
     shown = {
         column.name: column.shown(getattr(row, column.name)) for column in columns_of(IterationRow)
     }
-    said = f"frequencies within {shown['largest_error']} % (mean {shown['mean_error']} %)"
+    text = f"frequencies within {shown['largest_error']} % (mean {shown['mean_error']} %)"
     if math.isfinite(row.least_mac):
-        said += f", MAC at least {shown['least_mac']}"
-    notes = [said] if record.accepted else [f"{said}, not accepted"]
+        text += f", MAC at least {shown['least_mac']}"
+    notes = [text] if record.accepted else [f"{text}, not accepted"]
     if record.number and record.sensitivity_age:
         age = record.sensitivity_age
         notes.append(f"with a sensitivity from {age} iteration{'' if age == 1 else 's'} ago")

@@ -241,10 +241,10 @@ def refuse_uncertain(
     for wrong_unit in factor_findings(test, computed) if found else ():
         raise UncertainPairs(f"{wrong_unit.text} (no shapes were measured, only the order pairs)")
     if found:
-        said = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
+        text = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
         raise UncertainPairs(
             "no shapes were measured, and by the order of frequencies alone these pairs are not "
-            f"certain: {said}. {_remedy(test, pairing, list(found))}"
+            f"certain: {text}. {_remedy(test, pairing, list(found))}"
         )
 
 

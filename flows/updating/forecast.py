@@ -196,17 +196,17 @@ def cost_text(cost: Cost) -> str:
 
 def forecast_text(forecast: Forecast) -> str:
     """Return a forecast as one line."""
-    said = [f"first iteration {cost_text(forecast.coming)}"]
+    texts = [f"first iteration {cost_text(forecast.coming)}"]
     further = NOTHING.plus(forecast.further, forecast.iterations)
     if further.jobs:
         n = forecast.iterations
         up_to = f"up to {n} more iterations" if n > 1 else "one more iteration"
-        said.append(f"{up_to} at most {cost_text(further)}")
+        texts.append(f"{up_to} at most {cost_text(further)}")
     elif forecast.iterations:
-        said.append("further iterations nothing to run")
+        texts.append("further iterations nothing to run")
     if forecast.last.jobs:
-        said.append(f"the solver's own run at the end {cost_text(forecast.last)}")
-    return f"forecast: {'; '.join(said)}"
+        texts.append(f"the solver's own run at the end {cost_text(forecast.last)}")
+    return f"forecast: {'; '.join(texts)}"
 
 
 def told_forecast(forecast: Forecast) -> dict[str, Json]:

@@ -499,8 +499,8 @@ class Loop:
             return f"e1 is met: {_distance(last)}"
         if status == "max_iterations":
             taken = self.campaign.update.max_iterations
-            said = f"all {taken} iterations are used up and e1 is not met: {_distance(last)}"
-            return "; ".join(filter(None, (said, self.trials.stepping.held_back)))
+            text = f"all {taken} iterations are used up and e1 is not met: {_distance(last)}"
+            return "; ".join(filter(None, (text, self.trials.stepping.held_back)))
         return (
             "the residual cannot be brought down further within the bounds, and e1 is not met: "
             + _distance(last)

@@ -41,14 +41,14 @@ def settled(campaign: Campaign) -> Campaign:
     """
     cases, problems = [], []
     for case in campaign.cases:
-        found, said = case, ""
+        found, text = case, ""
         if may_choose(case):
             own = campaign.alone(case)
             (outcome,) = solve_jobs(job_engine(own), [modal_job(own)])
-            found, said = by_shapes(case, outcome.result(ModalResult))
-            logger.info("%s", said)
+            found, text = by_shapes(case, outcome.result(ModalResult))
+            logger.info("%s", text)
         problems += [
-            f"{case.of('the alignment of the test')} is uncertain: {said or what}. {remedy}"
+            f"{case.of('the alignment of the test')} is uncertain: {text or what}. {remedy}"
             for what, remedy in found.mapping.uncertain
         ]
         cases.append(found)
@@ -83,17 +83,17 @@ def by_shapes(case: Case, result: ModalResult) -> tuple[Case, str]:
     order = np.argsort(-macs, kind="stable")
     poses = [f"{pose_of(mappings[row])}: mean MAC {macs[row]:.3f}" for row in order]
     more = len(poses) - LISTED_POSES
-    told = "; ".join(poses[:LISTED_POSES]) + (f" and {more} more" if more > 0 else "")
+    text = "; ".join(poses[:LISTED_POSES]) + (f" and {more} more" if more > 0 else "")
     best, next_best = macs[order[:2]]
     if best - next_best < LEAD or 1.0 - best > LEFT * (1.0 - next_best):
-        return case, f"measured shapes cannot distinguish its poses: {told}"
+        return case, f"measured shapes cannot distinguish its poses: {text}"
     chosen = replace(mappings[order[0]], doubts=(), others=())
     settled_case = replace(
         case,
         mapping=chosen,
         nodes=pairing_nodes(case.test, chosen.sensors, case.solver, case.gauged),
     )
-    return settled_case, f"of the poses that fit the sensors, measured shapes select: {told}"
+    return settled_case, f"of the poses that fit the sensors, measured shapes select: {text}"
 
 
 def modal_job(campaign: Campaign) -> Job:

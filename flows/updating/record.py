@@ -139,10 +139,10 @@ def _deck_digest(campaign: Campaign) -> str:
     """Return SHA-256 and name of each deck's file, as `sha256sum` does, without includes."""
     files = [file for each in campaign.cases if (file := each.solver.deck.summary.file) is not None]
     try:
-        told = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
+        texts = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
     except OSError:  # moved since it was read
         return ""
-    return "; ".join(dict.fromkeys(told))
+    return "; ".join(dict.fromkeys(texts))
 
 
 def summary(record: CampaignRecord, run_dir: Path) -> dict[str, Json]:

@@ -158,9 +158,9 @@ class ByMatrices(ModeFinder):
         except (ModelError, UnlikeMatrices) as error:
             logger.warning("%s: using its own modes instead", error)
             return None
-        said = "counted" if counted else "not counted"
-        said = f"{name}'s matrices, {modal.eigenvalues.size} modes {said}"
-        found = state.compared(part.theta, key, modal, part, said)
+        text = "counted" if counted else "not counted"
+        text = f"{name}'s matrices, {modal.eigenvalues.size} modes {text}"
+        found = state.compared(part.theta, key, modal, part, text)
         apart = float(np.max(np.abs(found.errors - part.errors)))
         if apart <= CONFIRMED:
             return found

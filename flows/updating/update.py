@@ -121,8 +121,8 @@ def campaign_log(campaign: Campaign, folder: Path) -> Iterator[None]:
         logger.info("solver %s, version %s", names, campaign.solver_version())
         yield
     except BaseException as error:
-        said = f"ended with {type(error).__name__}: {error}"
-        file.handle(logging.LogRecord(__name__, logging.ERROR, "", 0, said, None, None))
+        text = f"ended with {type(error).__name__}: {error}"
+        file.handle(logging.LogRecord(__name__, logging.ERROR, "", 0, text, None, None))
         raise
     finally:
         ours.setLevel(level)
@@ -375,7 +375,7 @@ class Updating:
         place = max(n for n, record in enumerate(self.iterations) if record.accepted)
         before, runs = self.iterations[place], self.evaluator.runs
         apart = float(np.max(np.abs(evaluation.errors - before.frequency_errors)))
-        said = f"confirmed by {evaluation.solved_by}: frequencies within {apart:.1e}"
+        text = f"confirmed by {evaluation.solved_by}: frequencies within {apart:.1e}"
         now = time.monotonic()
         self.iterations[place] = replace(
             before,
@@ -384,7 +384,7 @@ class Updating:
             frequency_errors=evaluation.errors,
             residual=evaluation.residual,
             modal_key=evaluation.key,
-            decision="; ".join(filter(None, (before.decision, said))),
+            decision="; ".join(filter(None, (before.decision, text))),
             runs=before.runs.plus(runs.since(self.counted)),
             wall_s=before.wall_s + now - self.lap,
             field=shown_field(self.campaign, evaluation),
@@ -392,7 +392,7 @@ class Updating:
         )
         self.counted, self.lap = runs, now
         self.kept[-1] = evaluation
-        self.progress.working(said)
+        self.progress.working(text)
         self.save(self._record("running", ""))
 
     def _record(self, status: str, reason: str) -> CampaignRecord:
@@ -457,9 +457,9 @@ def _update(
 
     if campaign.sensitivity.method == "auto":
         solvers = [case.solver for case in campaign.cases]
-        told = [tell(solver) for solver in solvers for tell in (not_linear, untested_capabilities)]
-        for said in dict.fromkeys(filter(None, told)):
-            logger.warning("%s", said)
+        texts = [tell(solver) for solver in solvers for tell in (not_linear, untested_capabilities)]
+        for text in dict.fromkeys(filter(None, texts)):
+            logger.warning("%s", text)
     for case in campaign.cases:
         doubt = "" if "units" in case.accepted else unit_doubt(case.units, case.solver)
         if doubt:

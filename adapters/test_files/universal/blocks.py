@@ -267,8 +267,8 @@ def node_rows(rows: list[str], header: int, kind: int) -> list[tuple[str, list[s
 
     Raises ValueError where one is missing.
     """
-    said = data_kind(rows[6 if kind == 55 else 9])
-    count = said.count * (2 if said.is_complex else 1)
+    text = data_kind(rows[6 if kind == 55 else 9])
+    count = text.count * (2 if text.is_complex else 1)
     per_node = -(-count // 6)
     if per_node < 1:
         raise ValueError("has no values at its nodes")
@@ -286,8 +286,8 @@ def _joined_values(rows: list[str], header: int, kind: int) -> list[str]:
     if kind == 2414 and int(rows[3]) != 1:
         raise ValueError("holds data on elements or at points, not at nodes")
     joined = rows[:header]
-    said = data_kind(rows[6 if kind == 55 else 9])
-    if kind == 55 and said.count == 6 and said.is_complex:  # pyuff reads three complex values only
+    text = data_kind(rows[6 if kind == 55 else 9])
+    if kind == 55 and text.count == 6 and text.is_complex:  # pyuff reads three complex values only
         joined[6] = rows[6][:40] + f"{2:10d}{3:10d}"
         return joined
     for node, values in node_rows(rows, header, kind):

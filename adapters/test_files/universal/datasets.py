@@ -179,10 +179,10 @@ def units(place: DatasetPlace, block: DatasetBlock, read: Any) -> Units:
     named = CODES.get(int(read["units_code"]))
     if named is None or math.isclose(named, 1.0 / factor, rel_tol=0.01):
         return Units(place, 1.0 / factor, newtons)
-    said = f"its code {read['units_code']} means lengths in {named:g} m, its factor {factor:g}"
+    text = f"its code {read['units_code']} means lengths in {named:g} m, its factor {factor:g}"
     if math.isclose(named, factor, rel_tol=0.01):  # the factor is the other way round
-        return Units(place, factor, 1.0 / newtons, f"{said} the inverse; the code is taken")
-    return Units(place, 1.0 / factor, newtons, f"{said} {1.0 / factor:g} m; the factor is taken")
+        return Units(place, factor, 1.0 / newtons, f"{text} the inverse; the code is taken")
+    return Units(place, 1.0 / factor, newtons, f"{text} {1.0 / factor:g} m; the factor is taken")
 
 
 def node_table(place: DatasetPlace, block: DatasetBlock, read: Any) -> NodeTable:
@@ -370,19 +370,19 @@ _WIDTH = 13  # of a value: E13.5
 
 def shape_55(place: DatasetPlace, block: DatasetBlock, read: Any) -> DatasetShape | None:
     """Dataset 55; nothing where it has no values. Raises ValueError where it is not a mode."""
-    said, doubt = data_kind(block.rows[6]), ""
-    _check_mode(said)
-    if said.analysis == NORMAL_MODE:
+    text, doubt = data_kind(block.rows[6]), ""
+    _check_mode(text)
+    if text.analysis == NORMAL_MODE:
         pole = _normal(read["freq"], read["modal_damp_vis"], read["modal_damp_his"])
         mass = float(read["modal_m"])
     else:
         pole, doubt = _by_its_text(complex(read["eig"]), " ".join(block.rows[1:6]))
         mass = math.nan
-    if said.is_complex and said.count == 6:
+    if text.is_complex and text.count == 6:
         nodes, values = complex_with_rotations(block)
     else:
         nodes = np.asarray(read["node_nums"], dtype=np.int64)
-        columns = [np.asarray(read[f"r{component}"]) for component in range(1, said.count + 1)]
+        columns = [np.asarray(read[f"r{component}"]) for component in range(1, text.count + 1)]
         if any(column.size != nodes.size for column in columns):
             raise ValueError("does not have as many values at each node as it announces")
         values = np.column_stack(columns)
@@ -391,19 +391,19 @@ def shape_55(place: DatasetPlace, block: DatasetBlock, read: Any) -> DatasetShap
 
 def shape_2414(place: DatasetPlace, block: DatasetBlock, read: Any) -> DatasetShape | None:
     """Dataset 2414 with data at nodes. Raises ValueError where it is not a mode."""
-    said = data_kind(block.rows[9])
-    _check_mode(said)
+    text = data_kind(block.rows[9])
+    _check_mode(text)
     reals = [float(read[f"record12_field{field}"]) for field in range(1, 7)]
-    if said.analysis == NORMAL_MODE:
+    if text.analysis == NORMAL_MODE:
         pole, mass = _normal(reals[1], reals[4], reals[5]), reals[3]
     else:
         eigenvalue = complex(read["record13_field1"], read["record13_field2"])
         pole, mass = _complex(eigenvalue), math.nan
     nodes = np.asarray(read["node_nums"], dtype=np.int64)
     values = np.asarray(read["data_at_node"], dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] != said.count * (1 + said.is_complex):
+    if values.ndim != 2 or values.shape[1] != text.count * (1 + text.is_complex):
         raise ValueError("does not have as many values at each node as it announces")
-    if said.is_complex:
+    if text.is_complex:
         values = values[:, ::2] + 1j * values[:, 1::2]
     return _shape(place, int(read["record10_field6"]), pole, nodes, values, mass)
 

@@ -231,13 +231,13 @@ def in_si(
     `notes` say what was converted.
     """
     given = [item for file in files for item in file.contents if isinstance(item, Units)]
-    said: Counter[str] = Counter()
+    text: Counter[str] = Counter()
     values: list[Complexes] = []
     for function in functions:
         factor, note = _factor(function, kind, _units_at(function, given))
-        said[note] += 1
+        text[note] += 1
         values.append(np.asarray(function.values * factor, dtype=np.complex128))
-    notes += [note.replace(_COUNT, str(count)) for note, count in said.items() if note]
+    notes += [note.replace(_COUNT, str(count)) for note, count in text.items() if note]
     return values
 
 
@@ -267,12 +267,12 @@ def _by_labels(
     motion, force = labels
     file_motion, file_force = by_file or (1.0, 1.0)
     factor = (motion or file_motion) / (force or file_force)
-    said = f"{function.place.path}: units {_label_text(function)}"
+    text = f"{function.place.path}: units {_label_text(function)}"
     if by_file is None and (motion is None or force is None):
         missing = "motion" if motion is None else "force"
         times = "" if factor == 1.0 else f", the values are multiplied by {factor:.6g}"
         return factor, (
-            f"doubtful: {said}: the {missing} of {_COUNT} functions is taken as SI{times}"
+            f"doubtful: {text}: the {missing} of {_COUNT} functions is taken as SI{times}"
         )
     # accelerations in g go with any unit of length
     in_g = motion == GRAVITY and kind == "accelerance"
@@ -281,10 +281,10 @@ def _by_labels(
         or (force is not None and not math.isclose(force, file_force, rel_tol=SAME))
     ):
         return factor, (
-            f"doubtful: {said} of {_COUNT} response functions contradict dataset 164; the labels "
+            f"doubtful: {text} of {_COUNT} response functions contradict dataset 164; the labels "
             f"are taken (values times {factor:.6g})"
         )
-    return factor, _converted(factor, said)
+    return factor, _converted(factor, text)
 
 
 def _converted(factor: float, source: str) -> str:

@@ -145,9 +145,9 @@ class MassResponse:
             raise ModesError("mass properties: the model has no mass that translations move")
         mass = masses[there].mean()
         if np.ptp(masses[there].real) > ONE_MASS * mass.real:
-            said = ", ".join(f"{item:.6g}" for item in masses.real)
+            text = ", ".join(f"{item:.6g}" for item in masses.real)
             raise ModesError(
-                f"mass properties: the model's mass is {said} along x, y and z: {HELD}"
+                f"mass properties: the model's mass is {text} along x, y and z: {HELD}"
             )
         if set(self.targets) == {"mass"}:
             return np.array([mass])

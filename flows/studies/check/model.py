@@ -109,8 +109,8 @@ def size_findings(campaign: Campaign) -> Iterator[Finding]:
     case, size = campaign.case, model_size(campaign)
     doubt = unit_doubt(case.units, case.solver)
     if doubt:
-        said = MODEL.doubtful(doubt, "model.units", UNITS)
-        yield accepted(campaign, said, "units")
+        text = MODEL.doubtful(doubt, "model.units", UNITS)
+        yield accepted(campaign, text, "units")
     if np.isfinite(size):
         yield accepted(campaign, _size(case.units, size), "size")
     yield from _masses(case.solver)
@@ -121,12 +121,12 @@ def _masses(solver: Solver) -> Iterator[Finding]:
 
     Lumped ones are the cheaper choice that consistent ones better; not the other way round.
     """
-    said = solver.other_masses
-    if not said:
+    text = solver.other_masses
+    if not text:
         return
     lumps = solver.program.capabilities.masses == "lumped"
     remedy = "run it on a solver that has them, or refine the mesh" if lumps else ""
-    yield Finding("doubtful" if lumps else "good", "model", said, "model.solver", remedy)
+    yield Finding("doubtful" if lumps else "good", "model", text, "model.solver", remedy)
 
 
 def accepted(campaign: Campaign, found: Finding, check: ModelCheck) -> Finding:
@@ -150,10 +150,10 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
             f"{facts.body_missing}"
         )
         return
-    mass_kg, said = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
+    mass_kg, text = facts.mass_kg, f"the mass is {facts.mass_kg:.6g} kg"
     if facts.mass_by == "materials":
-        said = f"the mass is about {mass_kg:.2g} kg from sections and densities, plus point masses"
-    found = MODEL.good(said)
+        text = f"the mass is about {mass_kg:.2g} kg from sections and densities, plus point masses"
+    found = MODEL.good(text)
     heavy = mass_kg > DENSEST * facts.size_m**3  # the cube round the diagonal: the largest volume
     if heavy or not MASSES_KG[0] <= mass_kg <= MASSES_KG[1]:
         found = MODEL.doubtful(
@@ -177,11 +177,11 @@ def _body_findings(facts: ModelFacts, units: Units) -> Iterator[Finding]:
     centre = ", ".join(f"{value:.5g}" for value in shown)
     moments = ", ".join(f"{value:.5g}" for value in body.inertia.diagonal())
     length, mass, _ = units.split("-")
-    said = (
+    text = (
         f"centre of gravity ({centre}) {length}, moments of inertia about it ({moments}) "
         f"{mass} {length}^2"
     )
-    yield MODEL.good(said)
+    yield MODEL.good(text)
     if body.spread > MASS_TOLERANCE:
         yield MODEL.doubtful(
             f"the mass differs by {100 * body.spread:.2g} % between directions",
@@ -231,22 +231,22 @@ def rigid_findings(
         yield MODEL.good(f"{result.n_rigid} rigid modes, as `rigid_modes` says")
         return
     if result.n_rigid != free:
-        said = f"{result.n_rigid} modes have no strain energy, a free structure has {free}"
+        text = f"{result.n_rigid} modes have no strain energy, a free structure has {free}"
         remedy = "look for parts that nothing joins, hinges, or nodes without stiffness"
         if result.n_rigid > free:
-            said = f"a mechanism: {said}"
+            text = f"a mechanism: {text}"
         else:
-            said = f"half held: {said}, a held one none"
+            text = f"half held: {text}, a held one none"
             remedy = "look at the supports; a mechanism shows so too"
         meant = f"; if it is meant, say `rigid_modes: {result.n_rigid}`"
-        yield MODEL.doubtful(said, "model.rigid_modes", remedy + meant)
+        yield MODEL.doubtful(text, "model.rigid_modes", remedy + meant)
         return
     yield _near_zero(result, elastic)
 
 
 def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
     worst = float(np.sqrt(np.abs(result.eigenvalues[: result.n_rigid]).max() / elastic[0]))
-    said = (
+    text = (
         f"free: {result.n_rigid} rigid-body modes, at most {worst:.1g} of the first elastic "
         "frequency"
     )
@@ -254,9 +254,9 @@ def _near_zero(result: ModalResult, elastic: Floats) -> Finding:
     hidden = np.isnan(result.total_strain_energy)
     by_digits = hidden[: result.n_rigid].all() and not hidden[result.n_rigid :].any()
     if worst <= NEAR_ZERO or by_digits:
-        return MODEL.good(said)
+        return MODEL.good(text)
     return MODEL.doubtful(
-        said,
+        text,
         "",
         "they have no strain energy, so these frequencies are rounding errors, which would hide "
         "elastic modes as low as these: look for tiny or very stiff elements",
@@ -324,9 +324,9 @@ def memory_findings(state: CaseState) -> list[Finding]:
     n_modes, room = state.analysis.n_modes, state.engine.room
     vectors = most_vectors(n_modes), similar_vectors(n_modes)
     try:
-        on_disk, said = factor_forecast(pattern, vectors[0], vectors[1], room)
+        on_disk, text = factor_forecast(pattern, vectors[0], vectors[1], room)
     except SolverExhausted as error:
         return [MODEL.wrong(str(error), LIMIT)]
     if not on_disk:
-        return [MODEL.good(said, LIMIT)]
-    return [MODEL.doubtful(said, LIMIT, "raise it if the machine has more memory")]
+        return [MODEL.good(text, LIMIT)]
+    return [MODEL.doubtful(text, LIMIT, "raise it if the machine has more memory")]

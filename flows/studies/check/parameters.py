@@ -44,7 +44,7 @@ class EnergyShare:
 
 def bound_findings(campaign: Campaign) -> Iterator[Finding]:
     """Report implausible bounds, start values and numbers of parameters."""
-    yield from (PARAMETERS.good(said) for said in campaign.splits)
+    yield from (PARAMETERS.good(text) for text in campaign.splits)
     for parameter in campaign.parameters.parameters:
         yield from _bounds(campaign, parameter)
     data = sum(
@@ -68,17 +68,17 @@ def _bounds(campaign: Campaign, item: Parameter) -> Iterator[Finding]:
     if item.quantity == "poissons_ratio":
         reach = item.number(campaign.case.solver.deck.deck_value(item), item.upper)
         if reach >= POISSON_LIMIT:
-            said = f"{bounds} let Poisson's ratio reach {reach:.3g}"
-            yield PARAMETERS.wrong(said, where, "keep it below 0.5")
+            text = f"{bounds} let Poisson's ratio reach {reach:.3g}"
+            yield PARAMETERS.wrong(text, where, "keep it below 0.5")
     if item.quantity in DAMPING and not campaign.case.needs("losses"):
-        said = item.quantity.replace("_", " ")
-        said += " does not change frequencies and shapes of undamped modes"
+        text = item.quantity.replace("_", " ")
+        text += " does not change frequencies and shapes of undamped modes"
         remedy = "leave it out; no response of this campaign depends on it"
-        yield PARAMETERS.doubtful(said, where, remedy)
+        yield PARAMETERS.doubtful(text, where, remedy)
     relative = item.values == "relative"
     if relative and not item.lower <= 1.0 <= item.upper:
-        said = f"{bounds} exclude the deck's own value"
-        yield PARAMETERS.doubtful(said, where, "bounds are relative to the deck's value, 1")
+        text = f"{bounds} exclude the deck's own value"
+        yield PARAMETERS.doubtful(text, where, "bounds are relative to the deck's value, 1")
     if relative and (item.lower < 1.0 / WIDEST or item.upper > WIDEST):
         remedy = "give what is physically possible, such as 0.5 to 2"
         yield PARAMETERS.doubtful(f"{bounds} are too wide to limit anything", where, remedy)
@@ -86,8 +86,8 @@ def _bounds(campaign: Campaign, item: Parameter) -> Iterator[Finding]:
         remedy = "widen them, or fix the parameter"
         yield PARAMETERS.doubtful(f"{bounds} are too narrow", where, remedy)
     if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
-        said = f"it starts on a bound ({item.shown(item.initial):g})"
-        yield PARAMETERS.doubtful(said, where, "start inside the bounds")
+        text = f"it starts on a bound ({item.shown(item.initial):g})"
+        yield PARAMETERS.doubtful(text, where, "start inside the bounds")
 
 
 def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
@@ -163,7 +163,7 @@ def energy_findings(
         )
     if campaign.sensitivity.method == "auto":
         reasons = [reason(campaign.case.solver) for reason in (not_linear, untested_capabilities)]
-        yield from (PARAMETERS.good(said) for said in reasons if said)
+        yield from (PARAMETERS.good(text) for text in reasons if text)
     yield from _balance(campaign, result, bool(shares))
 
 
@@ -182,17 +182,17 @@ def _dead(campaign: Campaign, item: EnergyShare, modes: list[int]) -> Iterator[F
     dead, kinds = item.largest < DEAD, {each.kind for each in case.responses}
     if not dead and (known >= UNSEEN_SHARE * (1.0 + known) or kinds != {"frequencies"}):
         return
-    said = (
+    text = (
         f"{'dead' if dead else 'hardly alive'}: at most {100 * item.largest:.2g} % of the "
         f"{item.energy} energy of any used mode; over its bounds it moves their frequencies by "
         f"{moves:.1g} standard deviations of the test"
     )
     where, others = f"parameter {own.name}", ", ".join(sorted(kinds - MODAL)).replace("_", " ")
     if others:
-        yield PARAMETERS.good(f"{said}, so only {others} may determine it", where)
+        yield PARAMETERS.good(f"{text}, so only {others} may determine it", where)
         return
-    said += ", so updating leaves it at its start value" * (moves < NOTHING)
-    yield PARAMETERS.doubtful(said, where, "leave it out, or use modes that it moves")
+    text += ", so updating leaves it at its start value" * (moves < NOTHING)
+    yield PARAMETERS.doubtful(text, where, "leave it out, or use modes that it moves")
 
 
 def _balance(campaign: Campaign, result: ModalResult, has_shares: bool) -> Iterator[Finding]:

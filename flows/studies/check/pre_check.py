@@ -108,8 +108,8 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
             (outcome,) = solve_jobs(engine, [modal_job(campaign)])
             runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))
             posed = by_shapes(campaign.case, outcome.result(ModalResult))
-            campaign, said = _posed(campaign, posed)
-            static = _without_run(campaign, said)
+            campaign, text = _posed(campaign, posed)
+            static = _without_run(campaign, text)
         evaluator = evaluator_of(campaign, engine)
         result = evaluator.modes(campaign.start, analysis)
         if nothing:

@@ -190,14 +190,14 @@ def _show(campaign: Campaign, report: PreCheckReport, console: Console) -> None:
     show([head, *_tables(report)], console)
     for item in sorted(report.findings, key=lambda item: item.level == "good"):
         level = Text(f"{item.level:9}", style=MARKS[item.level]).append(f"{item.subject:11}", "")
-        said = Text(item.text)
+        text = Text(item.text)
         if not console.is_terminal:  # there a finding stays one line
-            show([level + said], console)
+            show([level + text], console)
             continue
         row = Table.grid(padding=0)  # a long sentence continues below its own start
         row.add_column(width=len(level), no_wrap=True)
         row.add_column(overflow="fold")
-        row.add_row(level, said)
+        row.add_row(level, text)
         console.print(row)
     show([_end(report)], console)
 
@@ -249,14 +249,14 @@ def _compared(
     )
     outside = [(place, "") for place, mode in enumerate(found.modes) if not mode.within]
     table = table_of("Modes compared with the baseline", found.modes, ModeCheck, outside=outside)
-    said = "within the band" if found.within else f"worse than the baseline: {found.reason}"
+    text = "within the band" if found.within else f"worse than the baseline: {found.reason}"
     excluded = found.verdict.excluded_by(fail_on)
     verdict = f"verdict of {baseline if record is None else record}: {found.verdict}"
     verdict += f", which --fail-on {fail_on} excludes" if excluded else ""
     remarks = (*found.remarks, verdict)
     end = StudyResult(
         found,
-        said,
+        text,
         json_object(
             found,
             "reason modes remarks verdict",
@@ -268,8 +268,8 @@ def _compared(
             solver_runs=found.runs,
         ),
         [table],
-        [*remarks, said],
-        doubts=[*([] if found.within else [said]), *([verdict] * excluded)],
+        [*remarks, text],
+        doubts=[*([] if found.within else [text]), *([verdict] * excluded)],
         status=f"{'within the band' if found.within else 'worse'}, {found.verdict.brief}",
         exit_code=3 if not found.within else 6 if excluded else 0,
     )
@@ -277,7 +277,7 @@ def _compared(
     if not items:  # a mode was lost
         items = [CheckItem("modes", found.reason)]
     items.append(CheckItem(f"verdict: {found.verdict}", verdict if excluded else ""))
-    return end, CheckOutcome(campaign.name, said, (table,), remarks, tuple(items))
+    return end, CheckOutcome(campaign.name, text, (table,), remarks, tuple(items))
 
 
 def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
@@ -285,13 +285,13 @@ def _outcome(name: str, report: PreCheckReport) -> CheckOutcome:
     from modetune.flows.diagnosis.pairing import ModePreview
     from modetune.flows.report.ci_files import CheckItem, CheckOutcome
 
-    said = [(item.subject, item.level, item.text) for item in report.findings]
+    texts = [(item.subject, item.level, item.text) for item in report.findings]
     remarks = tuple(
-        f"{level}: {subject}: {text}" for subject, level, text in said if level != "good"
+        f"{level}: {subject}: {text}" for subject, level, text in texts if level != "good"
     )
     items = tuple(
         CheckItem(f"{subject}: {text}", text if level == "wrong" else "")
-        for subject, level, text in said
+        for subject, level, text in texts
     )
     table = table_of("Modes before updating", report.modes, ModePreview)
     return CheckOutcome(name, _end(report), (table,) if table.rows else (), remarks, items)

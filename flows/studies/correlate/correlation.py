@@ -173,9 +173,9 @@ def _common(first: Side, second: Side) -> tuple[CommonMotion, tuple[str, ...]]:
     here, there = (directions_of(side.modes, side.geometry) for side in (first, second))
     notes = list[str]()
     if first.geometry is not None and second.geometry is not None:
-        rotation, said = turn_between(first.geometry, second.geometry)
+        rotation, text = turn_between(first.geometry, second.geometry)
         there = there @ rotation.T
-        notes += [f"{second.label} against {first.label}: {said}"] if said else []
+        notes += [f"{second.label} against {first.label}: {text}"] if text else []
     for side, other, seen in ((first, second, there), (second, first, here)):
         along = np.eye(3)[(other.modes.components - 1) % 3]
         turned = (np.abs(seen - along) > SAME).any()

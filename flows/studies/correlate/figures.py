@@ -87,7 +87,7 @@ def comac_chart(title: str, found: Correlation) -> Chart:
     places = sorted(found.dofs.index(dof) for dof in worst)
     names = tuple(dof_name(found.dofs[place]) for place in places)
     more = len(found.dofs) - len(names)
-    said = f" (worst {len(names)} of {len(found.dofs)})" if more else ""
+    text = f" (worst {len(names)} of {len(found.dofs)})" if more else ""
     panels = (
         Panel(
             (Bars("", found.comac[places], BEFORE),),
@@ -99,19 +99,19 @@ def comac_chart(title: str, found: Correlation) -> Chart:
         ),
     )
     size = max(5.0, 0.24 * len(names) + 1.0), 2.3
-    return Chart(f"{title}{said}", "agreement of sensors", panels, size=size)
+    return Chart(f"{title}{text}", "agreement of sensors", panels, size=size)
 
 
 def _numbered(found: Correlation, points: Floats, reach: float) -> tuple[str, ...]:
     """Return the numbers of the first side's modes next to their points, (n_pairs, 2); close ones
     together."""
-    said, left = [""] * points.shape[0], list(range(points.shape[0]))
+    text, left = [""] * points.shape[0], list(range(points.shape[0]))
     while left:
         near = [place for place in left if np.abs(points[place] - points[left[0]]).max() < reach]
         numbers = [str(found.first.numbers[found.pairs[place].first]) for place in near]
-        said[near[-1]] = ", ".join(numbers)
+        text[near[-1]] = ", ".join(numbers)
         left = [place for place in left if place not in near]
-    return tuple(said)
+    return tuple(text)
 
 
 def _ticks(side: Side) -> tuple[str, ...]:

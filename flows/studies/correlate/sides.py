@@ -222,10 +222,10 @@ def _labels(models: list[Model], first: SideSource, second: SideSource) -> list[
     names = [model.campaign.name for model in models]
     if names[0] != names[1]:
         return names
-    said = [", ".join(item.at) for item in (first, second)]
-    if said[0] == said[1]:
-        said = ["(first)", "(second)"]
-    return [f"{names[0]} {text or '(initial)'}" for text in said]
+    texts = [", ".join(item.at) for item in (first, second)]
+    if texts[0] == texts[1]:
+        texts = ["(first)", "(second)"]
+    return [f"{names[0]} {text or '(initial)'}" for text in texts]
 
 
 def _model(

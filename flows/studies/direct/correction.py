@@ -148,31 +148,31 @@ class DirectCorrection:
     @property
     def notes(self) -> tuple[str, ...]:
         """What it breaks, a sentence each."""
-        said = []
+        texts = []
         for item in self.damage:
             if item.size == 0.0:
                 continue
-            said.append(
+            texts.append(
                 f"{item.matrix}: changed by {100.0 * item.size:.3g} % of its size; "
                 f"{item.couplings} couplings of unknowns that no element joins, "
                 f"{100.0 * item.outside:.3g} % of the change; {100.0 * item.unmeasured:.3g} % of "
                 f"it at unknowns that no sensor sees ({self.n - self.n_seen} of {self.n})"
             )
             if item.negative:
-                said.append(
+                texts.append(
                     f"{item.matrix} has {item.negative} negative eigenvalues more than before: it "
                     "is not that of a structure"
                 )
         if self.rigid_hz > 0.0:
-            said.append(f"rigid motion is not free any more: it has up to {self.rigid_hz:.4g} Hz")
+            texts.append(f"rigid motion is not free any more: it has up to {self.rigid_hz:.4g} Hz")
         if self.lost:
-            said.append(
+            texts.append(
                 f"without a partner in the model, and so left out: test mode "
                 f"{', '.join(map(str, self.lost))}"
             )
         if self.why_no_modes:
-            said.append(f"the corrected matrices have no modes to show: {self.why_no_modes}")
-        return tuple(said)
+            texts.append(f"the corrected matrices have no modes to show: {self.why_no_modes}")
+        return tuple(texts)
 
     @property
     def sentence(self) -> str:
@@ -209,7 +209,7 @@ def correct_directly(
     numbers = np.array(campaign.case.measured.numbers, dtype=np.int64)
     phi = np.asarray(seen.back @ found.mode_shapes)
     modes, why = _corrected(k, m, own, model, (numbers[used], given, phi))
-    said = f"modetune direct: {campaign.name}, {method}, {used.size} modes, filled by {filling}"
+    text = f"modetune direct: {campaign.name}, {method}, {used.size} modes, filled by {filling}"
     return DirectCorrection(
         method=method,
         filling=filling,
@@ -227,7 +227,7 @@ def correct_directly(
         rigid_hz=_rigid_hz(own, k, m),
         condition=found.condition,
         matrices=WrittenMatrices(
-            k, m, model.matrices.nodes, model.matrices.components, comments=(said,)
+            k, m, model.matrices.nodes, model.matrices.components, comments=(text,)
         ),
     )
 

@@ -89,9 +89,9 @@ def run_doctor(
 
 
 def _not_tested(name: str) -> DoctorLine:
-    said = "not tested, because it needs a licence"
+    text = "not tested, because it needs a licence"
     remedy = f"test it with `modetune doctor --solver {name}`"
-    return DoctorLine(name, "program", "not available", said, remedy)
+    return DoctorLine(name, "program", "not available", text, remedy)
 
 
 def _test(
@@ -121,8 +121,8 @@ def _note(tests: SolverTests, tell: Tell) -> list[str]:
     passed = sorted(tests.confirmed & to_confirm)
     write_self_test(program, passed)
     used = ", ".join(item.replace("_", " ") for item in passed) or "nothing"
-    said = f"stored for this installation: {used}; `auto` uses this from now on"
-    tell(DoctorLine(program.name, "confirmed", "passed" if passed else "not available", said))
+    text = f"stored for this installation: {used}; `auto` uses this from now on"
+    tell(DoctorLine(program.name, "confirmed", "passed" if passed else "not available", text))
     return passed
 
 

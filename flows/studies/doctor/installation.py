@@ -105,10 +105,10 @@ def look_around(tell: Tell, working: Callable[[str], None]) -> None:
         working(f"{HERE}: {item}")
         started = time.monotonic()
         try:
-            state, said, remedy = look()
+            state, text, remedy = look()
         except ModetuneError as error:
-            state, said, remedy = "failed", str(error), ""
-        tell(DoctorLine(HERE, item, state, said, remedy, time.monotonic() - started))
+            state, text, remedy = "failed", str(error), ""
+        tell(DoctorLine(HERE, item, state, text, remedy, time.monotonic() - started))
 
 
 def _python() -> Found:
@@ -140,13 +140,13 @@ def _packages(extra: str) -> Found:
         else:
             installed.append(f"{wanted.name} {version}")
     remedy = f"pip install 'modetune[{extra}]'" if extra else "pip install modetune"
-    said = ", ".join(installed)
+    message = ", ".join(installed)
     if wrong or (missing and not extra):
         absent = [f"{name} is not installed" for name in missing]
         return "failed", "; ".join([*wrong, *absent]), remedy
     if missing:
         return "not available", f"{', '.join(missing)} not installed", remedy
-    return "passed", said, ""
+    return "passed", message, ""
 
 
 def _mumps() -> Found:
@@ -158,16 +158,16 @@ def _mumps() -> Found:
 def _machine() -> Found:
     pages = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    said = f"{cores()} of {os.cpu_count()} cores, {pages / 1e9:.1f} GB, {free / 1e9:.1f} GB unused"
-    return "passed", said, ""
+    text = f"{cores()} of {os.cpu_count()} cores, {pages / 1e9:.1f} GB, {free / 1e9:.1f} GB unused"
+    return "passed", text, ""
 
 
 def _disk() -> Found:
     free = shutil.disk_usage(_store_folder(existing=True)).free
-    said = f"{free / 1e9:.1f} GB free below the store"
+    text = f"{free / 1e9:.1f} GB free below the store"
     if free < LEAST_DISK:
-        return "failed", said, f"free some space, or name another disk with {STORE_VARIABLE}"
-    return "passed", said, ""
+        return "failed", text, f"free some space, or name another disk with {STORE_VARIABLE}"
+    return "passed", text, ""
 
 
 def _site() -> Found:
@@ -187,10 +187,10 @@ def _licences() -> Found:
             "the environment names no licence server, and the site file limits no licences",
             "only commercial solvers need them",
         )
-    said = [f"{', '.join(named)} set"] if named else []
+    texts = [f"{', '.join(named)} set"] if named else []
     return (
         "passed",
-        "; ".join([*said, *(["limits: " + ", ".join(counted)] if counted else [])]),
+        "; ".join([*texts, *(["limits: " + ", ".join(counted)] if counted else [])]),
         "",
     )
 
@@ -235,8 +235,8 @@ def _store() -> Found:
         return "passed", f"{folder}: writable, locks work; created when needed", ""
     files = [path for path in folder.rglob("*") if path.is_file()]
     size = sum(path.stat().st_size for path in files)
-    said = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB; writable, locks work"
-    return "passed", said, ""
+    text = f"{folder}: {len(files)} files, {size / 1e6:.1f} MB; writable, locks work"
+    return "passed", text, ""
 
 
 def _store_folder(existing: bool = False) -> Path:

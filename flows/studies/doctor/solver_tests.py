@@ -109,8 +109,8 @@ class SolverTests:
             remedy = "try again when a licence is free" if denied else ""
             found = Verdict("failed", str(error), remedy)
         except ModuleNotFoundError as error:  # a package of an extra
-            said = f"this requires the package {error.name}, which is not installed"
-            found = Verdict("not available", said, "install the extra that contains it (see above)")
+            text = f"this requires the package {error.name}, which is not installed"
+            found = Verdict("not available", text, "install the extra that contains it (see above)")
         seconds = time.monotonic() - started
         self.tell(
             DoctorLine(self.program.name, item, found.state, found.said, found.remedy, seconds)
@@ -146,23 +146,23 @@ class SolverTests:
         self.modal = found
         first = float(found.elastic.frequencies_hz[0])
         if self.model is None:
-            said = (
+            text = (
                 f"{found.modes.n_modes} modes, {found.n_rigid} of them rigid; first {first:.5g} Hz"
             )
-            return Verdict("passed", f"{said}; this model has no closed form to compare with")
+            return Verdict("passed", f"{text}; this model has no closed form to compare with")
         right = self.model.eigenvalues[: found.eigenvalues.size]
         off = float(np.abs(found.eigenvalues / right - 1.0).max())
-        said = f"{right.size} eigenvalues within {off:.1e} of the closed form ({CLOSED_FORM:.0e})"
+        text = f"{right.size} eigenvalues within {off:.1e} of the closed form ({CLOSED_FORM:.0e})"
         good = off <= CLOSED_FORM
         if self.model.mass:
             rows = found.modes.components == self.model.component
             masses = self.model.mass * (np.real(found.modes.mode_shapes[rows]) ** 2).sum(axis=0)
             off = float(np.abs(masses - 1.0).max())
-            said += f", modal masses within {off:.1e} of one ({MODAL_MASS:.0e})"
+            text += f", modal masses within {off:.1e} of one ({MODAL_MASS:.0e})"
             good = good and off <= MODAL_MASS
         if not good:
             self.modal = None
-        return Verdict("passed" if good else "failed", said, "" if good else REPORT)
+        return Verdict("passed" if good else "failed", text, "" if good else REPORT)
 
     def _energies(self) -> Verdict:
         assert self.modal is not None
@@ -171,10 +171,10 @@ class SolverTests:
         if not self.modal.groups:
             return Verdict("not available", "no parameter is proportional to a strain energy")
         off = float(np.abs(self.modal.energy_balance - 1.0).max())
-        said = f"2 sum U / lambda within {off:.1e} of one ({BALANCE_TOLERANCE:.0e})"
+        text = f"2 sum U / lambda within {off:.1e} of one ({BALANCE_TOLERANCE:.0e})"
         if off <= BALANCE_TOLERANCE:
-            return Verdict("passed", said)
-        return Verdict("failed", said, "campaigns use another method where energies do not balance")
+            return Verdict("passed", text)
+        return Verdict("failed", text, "campaigns use another method where energies do not balance")
 
     # derivatives
 
@@ -183,8 +183,8 @@ class SolverTests:
         has = self.program.capabilities
         names = self.campaign.parameters.names[:PARAMETERS]
         if not has.frequency_sensitivities or not names:
-            said = "this program computes none" if names else "the campaign has no parameters"
-            return Verdict("not available", f"{said}; campaigns use another method")
+            text = "this program computes none" if names else "the campaign has no parameters"
+            return Verdict("not available", f"{text}; campaigns use another method")
         modal = replace(self._analysis, groups=())
         shapes = has.shape_sensitivities and bool(modal.nodes)
         asked = SensitivityAnalysis(modal.n_modes, names, modal.nodes if shapes else ())
@@ -198,7 +198,7 @@ class SolverTests:
             if shapes:
                 shape_errors.append(_off(found.mode_shapes[:, apart, column], slopes[:, apart]))
         worst = max(errors)
-        said = (
+        text = (
             f"eigenvalue derivatives to {', '.join(names)} within {worst:.1e} of central "
             f"differences ({DERIVATIVES:.0e})"
         )
@@ -206,12 +206,12 @@ class SolverTests:
         if good:
             self.confirmed.add("frequency_sensitivities")
         if shapes:
-            said += f", of shapes within {max(shape_errors):.1e} ({SHAPES:.0e})"
+            text += f", of shapes within {max(shape_errors):.1e} ({SHAPES:.0e})"
             good = good and max(shape_errors) <= SHAPES
             if good:
                 self.confirmed.add("shape_sensitivities")
         remedy = f"campaigns use strain energies and finite differences instead; {REPORT}"
-        return Verdict("passed" if good else "failed", said, "" if good else remedy)
+        return Verdict("passed" if good else "failed", text, "" if good else remedy)
 
     def _difference(self, name: str, analysis: ModalAnalysis) -> tuple[Floats, Floats]:
         """Return the derivatives of eigenvalues (n_modes,) and shapes (n_dof, n_modes)."""
@@ -241,12 +241,12 @@ class SolverTests:
         count = self.modal.eigenvalues.size
         values, _ = solve_modes(found.stiffness, found.mass, count)
         off = float(np.abs(values[elastic] / self.modal.eigenvalues[elastic] - 1.0).max())
-        said = f"modes of {found.nodes.size} equations within {off:.1e} of the program's own"
-        said += f" ({EIGENVALUE_TOLERANCE:.0e})"
+        text = f"modes of {found.nodes.size} equations within {off:.1e} of the program's own"
+        text += f" ({EIGENVALUE_TOLERANCE:.0e})"
         if off <= EIGENVALUE_TOLERANCE:
             self.confirmed |= {"matrices", "matrix_modes"}
-            return Verdict("passed", said)
-        return Verdict("failed", said, f"campaigns do not use its matrices; {REPORT}")
+            return Verdict("passed", text)
+        return Verdict("failed", text, f"campaigns do not use its matrices; {REPORT}")
 
 
 def _without_modes() -> Verdict:

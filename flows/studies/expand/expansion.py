@@ -392,8 +392,8 @@ def write_files(
             ).reshape(-1, 3, 3),
             metres=METRES[campaign.case.units],
         )
-        said = (f"modetune expand: {found.sentence}",)
-        write_modes(out, MeasuredModes(found.numbers, modes), points if nodes.size else None, said)
+        text = (f"modetune expand: {found.sentence}",)
+        write_modes(out, MeasuredModes(found.numbers, modes), points if nodes.size else None, text)
         written.append(out)
     if paraview is not None:
         from modetune.adapters.paraview import mode_grids, write_series

@@ -267,15 +267,15 @@ def _shapes(
 
 def _doubts(found: Identification) -> list[str]:
     """Return the warnings about the result."""
-    said = []
+    texts = []
     frequencies = found.modes.modes.frequencies_hz
     for place in np.flatnonzero(found.phase_collinearity < DOUBTFUL):
-        said.append(
+        texts.append(
             f"mode {place + 1} ({frequencies[place]:.4g} Hz) is complex: its modal phase "
             f"collinearity is {found.phase_collinearity[place]:.2f}"
         )
     for i, j in zip(*np.nonzero(np.triu(found.auto_mac, 1) > 0.9), strict=True):
-        said.append(
+        texts.append(
             f"modes {i + 1} and {j + 1} have a MAC of {found.auto_mac[i, j]:.2f}: the "
             "sensors can hardly distinguish them"
         )
@@ -284,24 +284,24 @@ def _doubts(found: Identification) -> list[str]:
     peaks = unexplained_peaks(lines, found.frfs.values / size, found.synthesised / size)
     if peaks:
         named = ", ".join(f"{peak:.4g}" for peak in peaks[:5])
-        said.append(
+        texts.append(
             f"the responses have a peak at {named} Hz that the modes do not explain: raise "
             "--order, or identify it in a narrower --band"
         )
     worst = [place for place in found.worst_functions[:5].tolist() if found.frac[place] < 0.9]
     if worst:
         names = ", ".join(f"{found.function_name(k)} ({found.frac[k]:.2f})" for k in worst)
-        said.append(f"functions that the modes fit poorly (FRAC): {names}")
+        texts.append(f"functions that the modes fit poorly (FRAC): {names}")
     coherences = found.frfs.coherences
     told = np.flatnonzero(np.isfinite(coherences).all(axis=0)) if coherences.size else np.zeros(0)
     if told.size:
         mean = coherences[:, told].mean(axis=0)
         low = int(told[mean.argmin()])
-        said.append(
+        texts.append(
             f"mean coherence in the band is {mean.mean():.2f}, least {mean.min():.2f} at "
             f"{found.function_name(low)}; the fit does not use it as a weight"
         )
-    return said
+    return texts
 
 
 def write_modes(

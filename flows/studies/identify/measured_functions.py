@@ -67,11 +67,11 @@ def read_functions(
         return test, runs[0]
     estimator, window = asked.estimator or "h1", asked.window or "hann"
     frfs = response_functions(runs, estimator, asked.segment_s, window)
-    said = (
+    text = (
         f"{frfs.values.shape[1]} response functions ({estimator.upper()}, {window}, lines of "
         f"{frfs.frequencies_hz[0]:.4g} Hz) from {len(runs)} recordings"
     )
-    return replace(test, frfs=frfs, notes=(*test.notes, said)), None
+    return replace(test, frfs=frfs, notes=(*test.notes, text)), None
 
 
 def functions_in_band(

@@ -73,9 +73,9 @@ def one_model(
         return campaign, theta
     if configuration not in names:
         there = f"there is {', '.join(names)}" if names else "the campaign has none"
-        said = "none is named" if configuration is None else repr(configuration)
+        text = "none is named" if configuration is None else repr(configuration)
         raise CampaignError(
-            f"{campaign.file}: --configuration: name one of the campaign's configurations; {said}, "
+            f"{campaign.file}: --configuration: name one of the campaign's configurations; {text}, "
             f"{there}"
         )
     case = campaign.cases[names.index(configuration)]

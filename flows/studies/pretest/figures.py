@@ -32,7 +32,7 @@ def save_pretest_picture(path: Path, pretest: Pretest, mesh: Mesh) -> None:
 def _draw(plotter: Any, pretest: Pretest, length: float) -> None:
     starts, ways = _arrows(pretest)
     plotter.add_arrows(starts, ways, mag=length, color=SENSOR, lighting=False)
-    told = [(f"sensors: {len(pretest.sensors)}", SENSOR)]
+    texts = [(f"sensors: {len(pretest.sensors)}", SENSOR)]
     if pretest.exciters:
         ends = np.array([item.place for item in pretest.exciters])
         pushes = np.array([item.direction for item in pretest.exciters])
@@ -44,13 +44,13 @@ def _draw(plotter: Any, pretest: Pretest, length: float) -> None:
             color=EXCITER,
             lighting=False,
         )
-        told.append((f"exciters: {len(pretest.exciters)}", EXCITER))
+        texts.append((f"exciters: {len(pretest.exciters)}", EXCITER))
     for point in pretest.suspension:
         ball = pv.Sphere(radius=BALL * length, center=point.place)
         plotter.add_mesh(ball, color=SUSPENSION, lighting=False)
     if pretest.suspension:
-        told.append((f"moves least: {len(pretest.suspension)}", SUSPENSION))
-    for line, (text, colour) in enumerate(told, start=1):
+        texts.append((f"moves least: {len(pretest.suspension)}", SUSPENSION))
+    for line, (text, colour) in enumerate(texts, start=1):
         plotter.add_text(text, position=(20, PIXELS[1] - 50 * line), color=colour, font_size=16)
     _label(plotter, pretest, length)
 

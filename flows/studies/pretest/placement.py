@@ -105,8 +105,8 @@ def choose_sensors(
             chosen = _by_method(model, settings.method, count, spacing)
         except CampaignError:
             continue  # too few places at the default distance
-        said = f"there is room only for a distance of {spacing.distance:.3g} between sensors"
-        return chosen, spacing, [said] if halving else []
+        text = f"there is room only for a distance of {spacing.distance:.3g} between sensors"
+        return chosen, spacing, [text] if halving else []
     spacing = model.candidates.spacing(0.0)
     return _by_method(model, settings.method, count, spacing), spacing, []
 
@@ -135,15 +135,15 @@ def likeness(
 ) -> str:
     """Return the modes that the sensors can hardly distinguish, with a remedy."""
     first, second = (numbers[place] for place in quality.pair)
-    said = (
+    text = (
         f"these {count} sensors can hardly distinguish modes {first} and {second}: auto-MAC "
         f"{quality.largest:.2f}, above {ALIKE}"
     )
     if needed is not None:
-        return f"{said}; {needed} sensors by effective independence are enough"
+        return f"{text}; {needed} sensors by effective independence are enough"
     whole = judge(model.rows, np.arange(model.candidates.n))
     return (
-        f"{said}; more sensors of effective independence do not help ({whole.largest:.2f} with all "
+        f"{text}; more sensors of effective independence do not help ({whole.largest:.2f} with all "
         f"{model.candidates.n} candidates): try --method auto_mac, more candidates, more "
         "directions, or a smaller --distance"
     )

@@ -169,7 +169,7 @@ def _written(
         "full_nodes": model.matrices.nodes,
         "full_components": model.matrices.components,
     }
-    said = f"modetune reduce: {model.campaign.name}, {found.method}, {len(kept)} masters"
+    text = f"modetune reduce: {model.campaign.name}, {found.method}, {len(kept)} masters"
     if n_scalar:
-        said += f", {n_scalar} fixed-interface modes as scalar points from {above}"
-    return WrittenMatrices(found.stiffness, found.mass, nodes, components, n_scalar, extra, (said,))
+        text += f", {n_scalar} fixed-interface modes as scalar points from {above}"
+    return WrittenMatrices(found.stiffness, found.mass, nodes, components, n_scalar, extra, (text,))

@@ -69,8 +69,8 @@ def corner_figure(record: PosteriorRecord) -> Figure:
     else:
         grid[0, 0].legend(fontsize=8)
     more = len(record.names) - n
-    said = f" ({n} of {n + more} parameters)" if more else ""
-    figure.suptitle(f"{record.name}: posterior relative to the deck{said}", fontsize=10)
+    text = f" ({n} of {n + more} parameters)" if more else ""
+    figure.suptitle(f"{record.name}: posterior relative to the deck{text}", fontsize=10)
     return figure
 
 

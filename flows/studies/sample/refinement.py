@@ -172,13 +172,13 @@ def refuse_poor(learned: Refinement, least: int) -> None:
         f"{names[place]} by {learned.errors[place]:.2g}"
         for place in poor[np.argsort(-learned.errors[poor])][:6].tolist()
     )
-    said = (
+    text = (
         f"misses runs near the posterior: {found} standard deviations of the test"
         if found
         else f"has {int(learned.near.sum())} runs near the posterior, where {least // 2} are needed"
     )
     raise CampaignError(
-        f"after {learned.near.size} solver runs the surrogate {said}; raise --points, start from "
+        f"after {learned.near.size} solver runs the surrogate {text}; raise --points, start from "
         "an updated campaign (--record), narrow the parameters' bounds, or leave out what changes "
         "too wildly (shapes of close modes: --set residuals.shape_weight=0)"
     )

@@ -48,8 +48,8 @@ class StudyFinding:
 
 def findings(record: PosteriorRecord) -> tuple[StudyFinding, ...]:
     """Return the findings about a posterior, red ones first."""
-    told = (_of_checks, _of_chains, _of_peaks, _of_ends, _of_shapes, _of_prior, _of_ties)
-    return red_first(said for of in told for said in of(record))
+    texts = (_of_checks, _of_chains, _of_peaks, _of_ends, _of_shapes, _of_prior, _of_ties)
+    return red_first(text for of in texts for text in of(record))
 
 
 def red_first(said: Sentences) -> tuple[StudyFinding, ...]:
@@ -156,18 +156,18 @@ def _of_shapes(record: PosteriorRecord) -> Sentences:
     for place, name in enumerate(record.names):
         ratio = record.deviation[place] / record.linear_deviation[place]
         shift = (record.mean[place] - record.most_likely[place]) / record.deviation[place]
-        said = []
+        texts = []
         if not 1.0 / UNLIKE <= ratio <= UNLIKE:
-            said.append(f"its deviation is {ratio:.2g} times the linear standard error")
+            texts.append(f"its deviation is {ratio:.2g} times the linear standard error")
         if abs(shift) > SHIFTED:
-            said.append(
+            texts.append(
                 f"its mean lies {abs(shift):.2g} deviations "
                 f"{'above' if shift > 0 else 'below'} the most likely value"
             )
-        if said:
+        if texts:
             yield (
                 False,
-                (f"{name} differs from the linear model: {' and '.join(said)}; use the interval"),
+                (f"{name} differs from the linear model: {' and '.join(texts)}; use the interval"),
             )
 
 
@@ -257,14 +257,14 @@ def lines(record: PosteriorRecord) -> list[str]:
 
 def summary(record: PosteriorRecord) -> dict[str, Json]:
     """Return the JSON object of the record."""
-    said = findings(record)
+    texts = findings(record)
     errors = zip(record.training.names, record.left_out, record.check_errors, strict=True)
     peaks = zip(record.shares, record.peaks, strict=True)
     return json_object(
         record,
         "correlation seed",
-        status="doubtful" if any(finding.red for finding in said) else "done",
-        findings=said,
+        status="doubtful" if any(finding.red for finding in texts) else "done",
+        findings=texts,
         parameters=posterior_rows(record),
         peaks=[{"share": share, "point": point} for share, point in peaks],
         surrogate=[

@@ -256,10 +256,10 @@ def _within_limits(
             found.append(answer)
             continue
         values = zip(known.campaign.parameters.names, answer[0].mean.tolist(), strict=True)
-        said = ", ".join(f"{name} {value:.4g}" for name, value in values)
+        text = ", ".join(f"{name} {value:.4g}" for name, value in values)
         logger.warning(
             "the solution %s is left out, because it violates a limit (%s)",
-            said,
+            text,
             ", ".join(posterior.limits.names),
         )
     if not found:

@@ -79,10 +79,10 @@ def lines(record: ScatterRecord) -> list[str]:
     n_modes, n_tests = sum(map(is_frequency, record.measured)), len(record.tests)
     more = len(record.measured) - n_modes
     left = int(np.isnan(record.tests).sum())
-    said = f"{n_tests} tests of {n_modes} frequencies"
-    said += f" and {more} other values" if more else ""
-    said += f", {left} values missing or left out" if left else ""
-    said += f", worth {record.worth:.0f} independent ones" if record.worth < n_tests - 0.5 else ""
+    text = f"{n_tests} tests of {n_modes} frequencies"
+    text += f" and {more} other values" if more else ""
+    text += f", {left} values missing or left out" if left else ""
+    text += f", worth {record.worth:.0f} independent ones" if record.worth < n_tests - 0.5 else ""
     noise = record.answers[0].noise
     own = (
         f"measurement scatter: {100 * noise:.3g} % of a frequency"
@@ -93,7 +93,7 @@ def lines(record: ScatterRecord) -> list[str]:
     if not record.noise_told:
         low, high = (100.0 * record.answers[0].noise_interval).tolist()
         own += f", estimated from the tests ({low:.3g} to {high:.3g} %)"
-    return [said, own, *record.notes]
+    return [text, own, *record.notes]
 
 
 def findings(record: ScatterRecord) -> tuple[StudyFinding, ...]:
@@ -139,12 +139,12 @@ def _of_answer(answer: ScatterAnswer) -> Sentences:
 
 def summary(record: ScatterRecord) -> dict[str, Json]:
     """Return the JSON object of the record."""
-    said = findings(record)
+    texts = findings(record)
     return json_object(
         record,
         "names free measured means sizes covariance worth noise_told notes reduced_model",
-        status="doubtful" if any(finding.red for finding in said) else "done",
-        findings=said,
+        status="doubtful" if any(finding.red for finding in texts) else "done",
+        findings=texts,
         answers=[
             json_object(
                 answer,

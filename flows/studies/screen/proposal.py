@@ -149,14 +149,14 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
         body = lines[first : last + 1]
         indent = body[0][: len(body[0]) - len(body[0].lstrip())]
         width = max(40, 96 - len(indent))
-        said = [
+        texts = [
             f"{indent}# {line}{ends}" for line in textwrap.wrap(f"left out: {reasons[name]}", width)
         ]
         cut = [
             f"{indent}# {line[len(indent) :]}" if line.startswith(indent) else f"{indent}# {line}"
             for line in body
         ]
-        lines[first : last + 1] = said + cut
+        lines[first : last + 1] = texts + cut
     if "store" in wanted and "store" not in source.data:
         if lines and not lines[-1].endswith("\n"):
             lines[-1] += ends

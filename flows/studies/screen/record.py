@@ -47,7 +47,7 @@ class Responses:
 
     @property
     def n_failed(self) -> int:
-        return sum(bool(said) for said in self.failures)
+        return sum(bool(text) for text in self.failures)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -38,7 +38,7 @@ def sensors_json(part: Part) -> dict[str, Json]:
     surface = display_surface(mesh, part.file.report.nodes)
     if surface is None:
         raise CampaignError("the model has no surface to show")
-    pose, said = _laid(part, geometry, mesh)
+    pose, text = _laid(part, geometry, mesh)
     rows = {node: row for row, node in enumerate(geometry.nodes.tolist())}
     lines = [(rows[one], rows[other]) for one, other in geometry.lines.tolist()]
     landmarks = part.file.test.sensors.match
@@ -52,7 +52,7 @@ def sensors_json(part: Part) -> dict[str, Json]:
         "pose": _pose_json(pose or _centred(part, geometry, mesh)),
         "lines": packed(np.array(lines, dtype=np.int64), "<u4"),
         "landmarks": {str(point): node for point, node in landmarks.items()},
-        "notes": said,
+        "notes": text,
     }
 
 
@@ -82,8 +82,8 @@ def landmarks_change(part: Part, landmarks: Mapping[int, Mark]) -> Change:
 
 def _judged(part: Part, change: Change) -> Change:
     """Return the change with notes on the new alignment."""
-    _, said = _laid(part_of(change.after, part.name), _geometry(part), _mesh(part))
-    return change.noting(*said)
+    _, texts = _laid(part_of(change.after, part.name), _geometry(part), _mesh(part))
+    return change.noting(*texts)
 
 
 def _geometry(part: Part) -> TestGeometry:
