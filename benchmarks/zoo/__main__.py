@@ -62,6 +62,8 @@ E1 = 1e-7
 FOUND = 1e-3
 #: ... and a noisy one's within so many standard errors.
 SURE = 4.0
+#: Standard errors to both sides of a 95 % interval.
+INTERVAL = 1.96
 COLUMNS = (
     "twins",
     "truth",
@@ -72,12 +74,19 @@ COLUMNS = (
     "lost",
     "refused",
     "faults",
+    "withheld",
+    "intervals",
+    "with truth",
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How one update ended. apart: largest distance of a parameter from the truth, relative."""
+    """How one update ended.
+
+    apart: largest distance of a parameter from the truth, relative; withheld: whether standard
+    errors are; intervals, with_truth: number of printed 95 % intervals, of those with the truth.
+    """
 
     family: str
     seed: int
@@ -90,6 +99,9 @@ class Outcome:
     modal_runs: int = 0
     said: str = ""
     listed: bool = False
+    withheld: bool = False
+    intervals: int = 0
+    with_truth: int = 0
 
     @property
     def false_alarm(self) -> bool:
@@ -183,6 +195,8 @@ def update_twin(family: str, seed: int, kind: Kind) -> Outcome:
     near = FOUND * wanted if exact else SURE * record.standard_errors
     found = bool((np.abs(record.updated - wanted) <= near).all())
     told = run.summary
+    printed = np.isfinite(record.standard_errors) & (record.standard_errors > 0.0)
+    inside = np.abs(record.updated - wanted) <= INTERVAL * record.standard_errors
     return Outcome(
         *given,
         found,
@@ -193,6 +207,9 @@ def update_twin(family: str, seed: int, kind: Kind) -> Outcome:
         record.runs.modal,
         f"{record.status}: {record.reason}",
         found or _listed(record, wanted, near),
+        record.trust is not None and record.trust.withheld,
+        int(printed.sum()),
+        int((printed & inside).sum()),
     )
 
 
@@ -230,6 +247,9 @@ def _line(name: str, own: list[Outcome]) -> str:
         ended["lost"],
         ended["refused"],
         ended["fault"],
+        sum(item.withheld for item in own),
+        sum(item.intervals for item in own),
+        sum(item.with_truth for item in own),
     )
     return f"{name:18}" + "".join(f"{count:17d}" for count in counts)
 

@@ -65,14 +65,23 @@ def test_the_table_counts_how_updates_ended() -> None:
     outcomes = [
         Outcome("chain", 1, "exact", found=True, trusted=True, ended="ended", listed=True),
         Outcome("chain", 2, "exact", trusted=True, accused=True, ended="ended"),
-        Outcome("chain", 3, "other", accused=True, ended="ended"),
+        Outcome(
+            "chain",
+            3,
+            "other",
+            accused=True,
+            ended="ended",
+            withheld=True,
+            intervals=3,
+            with_truth=2,
+        ),
         Outcome("chain", 3, "exact", ended="lost"),
         Outcome("chain", 4, "exact", ended="fault"),
     ]
     lines = [line.split() for line in table(outcomes).splitlines()[1:]]
     assert lines == [
-        ["chain", "5", "1", "1", "2", "1", "1", "1", "0", "1"],
-        ["exact", "4", "1", "1", "1", "1", "1", "1", "0", "1"],
-        ["other", "1", "0", "0", "1", "0", "0", "0", "0", "0"],
-        ["all", "5", "1", "1", "2", "1", "1", "1", "0", "1"],
+        ["chain", "5", "1", "1", "2", "1", "1", "1", "0", "1", "1", "3", "2"],
+        ["exact", "4", "1", "1", "1", "1", "1", "1", "0", "1", "0", "0", "0"],
+        ["other", "1", "0", "0", "1", "0", "0", "0", "0", "0", "1", "3", "2"],
+        ["all", "5", "1", "1", "2", "1", "1", "1", "0", "1", "1", "3", "2"],
     ]
