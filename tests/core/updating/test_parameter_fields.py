@@ -214,7 +214,7 @@ def told(field: Field, rows: Floats, changes: Floats) -> tuple[Integers, ...]:
         [f"E.{k + 1}" for k in range(n)],
     )
     if len(found.places) > 1:
-        assert any("cannot tell" in said for said in found.doubts)
+        assert any("cannot distinguish" in said for said in found.doubts)
     return found.places
 
 

@@ -178,5 +178,5 @@ def test_a_campaign_under_way_is_an_error_of_its_own(bench: Bench, watcher: Watc
     (bench.folder / "run").mkdir()
     with (bench.folder / "run" / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(CampaignRunning, match="under way"):
+        with pytest.raises(CampaignRunning, match="in progress"):
             ran(bench, bench.campaign(TRUTH), watcher)

@@ -68,7 +68,7 @@ def test_a_campaign_runs_and_refuses_a_second_run_in_its_folder(
     folder.mkdir()
     with FileLock(folder / ".lock") as lock:
         assert lock.take()
-        with pytest.raises(CampaignRunning, match="under way"):
+        with pytest.raises(CampaignRunning, match="in progress"):
             update_campaign(bench.campaign(TRUTH), folder, watcher)
     record = update_campaign(bench.campaign(TRUTH), folder, watcher).record
     assert record.status == "converged"

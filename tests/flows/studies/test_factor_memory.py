@@ -67,7 +67,7 @@ def test_check_tells_where_the_factors_go_and_at_what_price(
     assert roomy.level == "good"
     assert roomy.what.endswith("they stay in memory")
     in_memory = float(roomy.what.split(" equations take ")[1].split()[0])
-    beside = float(roomy.what.split(" beside ")[1].split()[0])
+    beside = float(roomy.what.split(" in addition to ")[1].split()[0])
     tight = told(part, 0.99 * (in_memory + beside))
     on_disk = tight.level == "doubtful"
     if on_disk:  # of small models, what is kept in any case leaves next to nothing to spare

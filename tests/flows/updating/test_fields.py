@@ -163,7 +163,7 @@ def test_twins_of_a_symmetric_bar_are_two_answers_where_frequencies_alone_are_kn
     assert record.updated[weak - 1] == pytest.approx(record.updated[n - weak], abs=1e-3)
     assert record.trust is not None
     assert record.trust.verdict != "trusted"
-    assert any("cannot tell 2 places apart" in said for said in record.trust.unseen)
+    assert any("cannot distinguish 2 places" in said for said in record.trust.unseen)
 
 
 @needs_ccx

@@ -140,7 +140,7 @@ def test_a_structure_that_is_held_in_a_direction_is_refused() -> None:
         base.components[kept],
     )
     state = beside(MatricesAt(parameter_matrices(held, np.ones(1), (), ()), np.ones(1)))
-    with pytest.raises(ModesError, match=r"along x, y and z.*supports hold the rest"):
+    with pytest.raises(ModesError, match=r"along x, y and z.*supports hold the remaining mass"):
         MassResponse(ALL).residual(state)
 
 
