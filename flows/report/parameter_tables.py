@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -146,7 +146,19 @@ def parameter_table(record: CampaignRecord, only: str = "") -> Table:
     judged = () if record.trust is None else record.trust.parameters
     outside = [(place, "on_bound") for place, row in enumerate(rows) if row.on_bound]
     outside += [(place, "test_share") for place, item in enumerate(judged) if item.doubtful]
-    return table_of("Parameters", rows, ParameterRow, " ".join(known), outside=outside)
+    table = table_of("Parameters", rows, ParameterRow, " ".join(known), outside=outside)
+    return _withheld(table, record.trust)
+
+
+def _withheld(table: Table, trust: Trust | None) -> Table:
+    """Return the table, in which withheld errors are not called unknown."""
+    if trust is None or not trust.withheld:
+        return table
+    errors = ("standard_error", "value_error", "error")
+    columns = (
+        replace(item, unknown="withheld") if item.name in errors else item for item in table.columns
+    )
+    return replace(table, columns=tuple(columns))
 
 
 def trust_table(trust: Trust) -> Table:
@@ -154,7 +166,7 @@ def trust_table(trust: Trust) -> Table:
     outside = [
         (place, "test_share") for place, item in enumerate(trust.parameters) if item.doubtful
     ]
-    return table_of("", trust.parameters, TRUST, outside=outside)
+    return _withheld(table_of("", trust.parameters, TRUST, outside=outside), trust)
 
 
 def start_table(record: CampaignRecord) -> Table:

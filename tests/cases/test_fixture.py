@@ -25,6 +25,7 @@ from modetune.core.updating.trust import trust_sentences
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
+from modetune.flows.report.parameter_tables import parameter_table, trust_table
 from modetune.flows.studies.screen.request import ScreeningRequest
 from modetune.flows.studies.screen.screening import screen_campaign
 from modetune.flows.updating.evaluator import evaluator_of
@@ -94,6 +95,8 @@ def test_values_that_miss_the_truth_are_told_as_such(run: CampaignRun) -> None:
     assert record.trust is not None
     assert record.trust.withheld
     assert "so standard errors are withheld" in trust_sentences(record.trust)[0]
+    for table in (parameter_table(record), trust_table(record.trust)):
+        assert ["withheld" in row for row in table.texts] == [False, True, True, True, True]
     # Two other minima have as low a misfit, with K_x at 2.6 and 12 times the deck's; none fits.
     assert record.trust.verdict == "not to be trusted"
     flags = {item.name: item.flags for item in record.trust.parameters if item.doubtful}
