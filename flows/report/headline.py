@@ -28,6 +28,8 @@ STATUS = {
 }
 #: Added where the model agrees: at the minimum misfit, or where e1 stopped updating before it.
 AT_MINIMUM, BEFORE_MINIMUM = ", at the minimum misfit", " (e1), short of the minimum misfit"
+#: Number of reasons for a verdict in the first line.
+REASONS = 2
 #: Replace the status where only some measures of agreement improved, or none.
 PARTLY_CLOSER = ("is closer to its test in part only", "fair")
 NO_CLOSER = ("is no closer to its test than before", "outside")
@@ -128,7 +130,9 @@ def first_line(record: CampaignRecord) -> str:
     agreement += f", {_count(lost, 'measured mode')} without a pair" if lost else ""
     agreement += "" if record.status == "converged" else ", e1 not met"
     reasons = () if record.trust is None else verdict_reasons(record.trust)
-    why = f" ({'; '.join(reasons)})" if reasons else ""
+    shown, more = list(reasons[:REASONS]), len(reasons) - REASONS
+    shown += [_count(more, "more reason")] if more > 0 else []
+    why = f" ({'; '.join(shown)})" if shown else ""
     found = f"{record.name}: {_found(record)}"
     return f"{found}; {agreement}; {verdict}: {verdict.advice}{why}."
 
