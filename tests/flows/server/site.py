@@ -48,6 +48,7 @@ class Site:
             "MODETUNE_STORE": str(self.store),
         }
         self._cores = ExitStack()
+        self._started: list[subprocess.Popen[str]] = []
         for name in (*process.FOREIGN, "MODETUNE_NO_PREFECT"):
             self.environment.pop(name, None)
         deployed = self.run("server", "deploy", "campaign.yaml")
@@ -104,7 +105,7 @@ class Site:
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start `modetune ARGUMENTS` in the folder."""
-        return subprocess.Popen(
+        started = subprocess.Popen(
             [sys.executable, "-m", "modetune", *arguments],
             cwd=self.folder,
             env=self.environment,
@@ -113,6 +114,15 @@ class Site:
             text=True,
             start_new_session=True,
         )
+        self._started.append(started)
+        return started
+
+    def end_started(self) -> None:
+        """Kill what a failed test left running."""
+        for started in self._started:
+            started.kill()
+            started.communicate()
+        self._started.clear()
 
     def state(self, run: str) -> Any:
         return self.ask(f"/flow_runs/{run}")

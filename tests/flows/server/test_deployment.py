@@ -13,13 +13,14 @@ import pytest
 from modetune.flows.jobs import prefect_server as process
 from tests.command_line import run_command
 from tests.eventually import eventually
-from tests.flows.server.site import RUN, WORKER, Site
+from tests.flows.server.site import PATIENCE_S, RUN, WORKER, Site
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, server_base: Path) -> Iterator[Site]:
     site = Site(tmp_path_factory.mktemp("site"), server_base)
     yield site
+    site.end_started()
     site.kill(WORKER, RUN)
 
 
@@ -98,7 +99,8 @@ def test_serve_deploys_and_works_until_it_is_ended(site: Site) -> None:
     server = site.start(
         "server", "serve", "campaign.yaml", "--cron", "0 2 * * *", "--name", "served"
     )
-    assert eventually(lambda: _is_deployed(site))
+    assert eventually(lambda: server.poll() is not None or _is_deployed(site), PATIENCE_S)
+    assert server.poll() is None, server.communicate()[1]
     run = site.due("update/served")
     found, _ = site.wait(run, lambda run: run["state_type"] == "COMPLETED")
     assert found["state_name"] in ("Converged, trusted", "Unchanged, trusted")

@@ -27,6 +27,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     site = Site(tmp_path_factory.mktemp("site"))
     yield site
     site.resume()
+    site.end_started()
     site.kill(WORKER, RUN)
     process.stop_server(site.home)
 
