@@ -13,8 +13,9 @@ from typing import Annotated
 
 import numpy as np
 
-from modetune.core.correlation.correlation import mac, subspace_mac
+from modetune.core.correlation.correlation import subspace_mac
 from modetune.core.correlation.pairing import (
+    FEW,
     LOST_MAC,
     RESOLUTION,
     Pairing,
@@ -28,9 +29,7 @@ from modetune.core.correlation.pairing import (
 )
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
-from modetune.core.near_names import listed
 from modetune.flows.diagnosis.findings import MODES, PAIRING, Finding
-from modetune.flows.diagnosis.measured_modes import ALIKE
 from modetune.flows.report.tables import Column
 
 #: Below it a pair is doubtful.
@@ -43,14 +42,25 @@ LARGE_ERROR = 0.4
 MARGIN = 0.1
 #: Frequencies that are all off by one factor, within this share, are off by a unit.
 COMMON_FACTOR = 0.1
-#: The sensors hardly see a computed shape that is this short compared with the paired ones.
-HARDLY_SEEN = 0.1
+#: Any other factor is common where all ratios are within this share of it.
+COMMON = 0.05
+#: Acceleration of gravity, m/s2 and inch/s2: weight over mass.
+GRAVITY, GRAVITY_INCH = 9.80665, 386.0886
 #: Measured over computed frequency, by the mistake behind it.
 FACTORS = {
     "frequencies in rad/s": 2.0 * np.pi,
     "frequencies divided by 2 pi twice": 0.5 / np.pi,
+    "frequencies in revolutions per minute": 60.0,
+    "frequencies in kHz, or lengths a thousandfold too small": 1e-3,
+    "lengths a thousandfold too large (mm in place of m)": 1e3,
+    "lengths in mm in place of inches": 25.4,
+    "lengths in inches in place of mm": 1.0 / 25.4,
     "a density a thousandfold too large": 1000.0**0.5,
     "a density a thousandfold too small": 1000.0**-0.5,
+    "weight in place of mass (inches; Nastran: PARAM,WTMASS)": GRAVITY_INCH**0.5,
+    "mass divided by gravity twice (inches; Nastran: PARAM,WTMASS)": GRAVITY_INCH**-0.5,
+    "weight in place of mass (Nastran: PARAM,WTMASS)": GRAVITY**0.5,
+    "mass divided by gravity twice (Nastran: PARAM,WTMASS)": GRAVITY**-0.5,
 }
 
 
@@ -228,27 +238,37 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
     )
 
 
-def factor_findings(test: MeasuredModes, elastic: ModeSet) -> Iterator[Finding]:
-    """Report whether all frequencies are off by the factor of a wrong unit.
+def factor_findings(
+    test: MeasuredModes, elastic: ModeSet, rules: PairRules | None = None
+) -> Iterator[Finding]:
+    """Report whether all frequencies are off by one factor: wrong for the factor of a wrong unit.
 
     elastic: computed modes as the test's sensors see them. The parameters' bounds rule out no pair
-    here. Raises ModesError as `first_pairs`.
+    here. rules: with their reach, to report another factor beyond it as doubtful. Raises ModesError
+    as `first_pairs`.
     """
     ratios = np.array([mode.test_hz / mode.computed_hz for mode in preview(test, elastic)])
-    if ratios.size < 2:
+    if ratios.size < 2 or not (ratios > 0.0).all():
         return
     middle = float(np.median(ratios))
+    what = f"all measured frequencies are about {middle:.3g} times the computed ones"
     for reason, factor in FACTORS.items():
         if (np.abs(ratios / factor - 1.0) < 2 * COMMON_FACTOR).all() and (
             abs(middle / factor - 1.0) < COMMON_FACTOR
         ):
-            yield MODES.wrong(
-                f"all measured frequencies are about {middle:.3g} times the computed "
-                f"ones, as with {reason}",
-                "",
-                "check the units of the test and the deck",
-            )
+            remedy = "check the units of the test and the deck (`model.units`)"
+            yield MODES.wrong(f"{what}, as with {reason}", "", remedy)
             return
+    low, high = (0.0, np.inf) if rules is None else rules.reach
+    outside = (ratios < low) | (ratios > high)
+    if ratios.size >= FEW and outside.all() and (np.abs(ratios / middle - 1.0) < COMMON).all():
+        yield MODES.doubtful(
+            f"{what}: stiffness over mass is off by a factor of {middle**2:.3g}, more than the "
+            "parameters' bounds allow",
+            "",
+            "check moduli, densities and thicknesses of the whole model and its units "
+            "(`model.units`), or widen the `bounds`",
+        )
 
 
 def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> Iterator[Finding]:
@@ -267,57 +287,3 @@ def margin_findings(test: MeasuredModes, elastic: ModeSet, all_there: bool) -> I
         "updating extends the range if it does not find a mode; a model that is much too soft, or "
         "test modes that were left out, can be the cause",
     )
-
-
-def unmeasured(
-    test: MeasuredModes, elastic: ModeSet, modes: tuple[ModePreview, ...], left_out: bool
-) -> Iterator[Finding]:
-    """Report computed modes in the test's band that are paired with no test mode.
-
-    Such a mode is doubtful unless the campaign leaves out test modes (left_out), or the sensors
-    hardly see it or cannot distinguish it from another.
-    """
-    if not test.has_shapes:
-        return
-    paired = {mode.elastic_mode for mode in modes}
-    low, high = test.modes.frequencies_hz.min(), test.modes.frequencies_hz.max()
-    free = [
-        place
-        for place, frequency in enumerate(elastic.frequencies_hz.tolist())
-        if place + 1 not in paired and low <= frequency <= high
-    ]
-    distinct = [] if left_out else _separable(test, elastic, free, len(modes), paired)
-    if distinct:
-        yield MODES.doubtful(
-            f"the test has no mode for the model's {_at(elastic, distinct)} within its band",
-            "",
-            "check whether it was excited and identified",
-        )
-    others = [place for place in free if place not in distinct]
-    if others:
-        text = f"elastic mode {_at(elastic, others)} is paired with no test mode"
-        yield MODES.good(text)
-
-
-def _at(elastic: ModeSet, places: list[int]) -> str:
-    """Numbers of elastic modes with their frequencies."""
-    return listed(f"{place + 1} ({elastic.frequencies_hz[place]:.4g} Hz)" for place in places)
-
-
-def _separable(
-    test: MeasuredModes, elastic: ModeSet, free: list[int], n_paired: int, paired: set[int]
-) -> list[int]:
-    """Return those of the modes that the sensors see and distinguish from others in the band."""
-    _, rows = common_dofs(test.modes, elastic)
-    shapes = elastic.mode_shapes[rows]
-    if rows.size < n_paired + len(free):  # fewer sensors than modes
-        return []
-    sizes = np.linalg.norm(shapes, axis=0)
-    usual = float(np.median(sizes[[number - 1 for number in paired]]))
-    seen = [place for place in free if sizes[place] > HARDLY_SEEN * usual]
-    apart = []
-    for place in seen:
-        others = [n for n in {*free, *(number - 1 for number in paired)} if n != place and sizes[n]]
-        if not others or mac(shapes[:, [place]], shapes[:, others]).max() <= ALIKE:
-            apart.append(place)
-    return apart

@@ -39,6 +39,8 @@ from modetune.core.updating.responses.response import (
 )
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.case import Case, node_base, side_by_side
+from modetune.flows.diagnosis.causes import cause_sentences
+from modetune.flows.diagnosis.missing_modes import order_findings
 from modetune.flows.diagnosis.pairing import factor_findings
 
 #: Maximum number of points from which modes are tracked: the nearest of so many is close enough,
@@ -68,7 +70,7 @@ class CaseEvaluation:
     """A model state compared with the test of its case.
 
     theta: the case's own parameters. modal: modes at the nodes that pairing and derivatives need.
-    seen: its elastic modes at the test's sensors. field: the elastic modes at every requested node.
+    seen: its elastic modes at the test's sensors. whole: the modes at every requested node.
     held_out: positions of the test's held-out modes among them. solved_by: the program that
     computed the modes. responses: the compared responses. matrices: if a response needs them.
     """
@@ -77,7 +79,7 @@ class CaseEvaluation:
     key: str
     modal: ModalResult
     seen: ModeSet
-    field: ModeSet
+    whole: ModalResult
     pairing: Pairing
     residual: Residual
     errors: Floats
@@ -196,7 +198,7 @@ def compare(
         key=key,
         modal=modal,
         seen=seen,
-        field=elastic if modal is result else result.elastic,
+        whole=result,
         pairing=pairing,
         residual=residual(case.responses, state),
         errors=frequency_errors(test.modes, seen, pairing),
@@ -238,14 +240,18 @@ def refuse_uncertain(
 ) -> None:
     """Raise UncertainPairs if there are any."""
     found = uncertain_pairs(test, computed, pairing, rules)
-    for wrong_unit in factor_findings(test, computed) if found else ():
-        raise UncertainPairs(f"{wrong_unit.text} (no shapes were measured, only the order pairs)")
-    if found:
-        text = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
-        raise UncertainPairs(
-            "no shapes were measured, and by the order of frequencies alone these pairs are not "
-            f"certain: {text}. {_remedy(test, pairing, list(found))}"
-        )
+    if not found:
+        return
+    factor = tuple(factor_findings(test, computed, rules))
+    if any(item.level == "wrong" for item in factor):
+        raise UncertainPairs(f"{factor[0].text} (no shapes were measured, only the order pairs)")
+    reasons = cause_sentences((*factor, *order_findings(test, computed, rules)))
+    text = "; ".join(f"mode {number}: {reason}" for number, reason in found.items())
+    confirm = _remedy(test, pairing, list(found))
+    raise UncertainPairs(
+        "no shapes were measured, and by the order of frequencies alone these pairs are not "
+        + ". ".join((f"certain: {text}", confirm, *reasons)).rstrip(".")
+    )
 
 
 def _remedy(test: MeasuredModes, pairing: Pairing, numbers: Sequence[int]) -> str:

@@ -558,7 +558,7 @@ class ModeRequest:
         try:
             part = self.compared(key, modal, before)
         except LostMode as error:
-            found = causes(state.case, modal.elastic) if before is None else ()
+            found = causes(state.case, modal) if before is None else ()
             wrong = any(item.level == "wrong" for item in found)
             if not wrong and self.widen(error, modal.modes.n_modes):
                 return None

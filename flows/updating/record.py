@@ -199,7 +199,7 @@ def shown_field(campaign: Campaign, evaluation: Evaluation) -> ModeSet:
     case, part = campaign.only, evaluation.parts[0]
     if case is None or case.surface.nodes.size == 0:
         return mode_set([])
-    surface, paired = case.surface, part.field.select(part.pairing.computed)
+    surface, paired = case.surface, part.whole.elastic.select(part.pairing.computed)
     frames = case.solver.deck.mesh().frames
     shown = set(surface.nodes.tolist())
     turned = {node: axes for node, axes in frames.items() if node in shown}

@@ -56,6 +56,7 @@ from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.diagnosis.causes import cause_sentences, causes
+from modetune.flows.diagnosis.findings import Finding
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
@@ -307,8 +308,15 @@ class Updating:
         """Return the record with possible causes if a model-form error is suspected."""
         if record.trust is None or record.trust.times_noise == 0.0:
             return record
-        parts = zip(self.evaluator.used, self.kept[-1].parts, strict=True)
-        found = [item for at, part in parts for item in causes(at.case, part.field)]
+        found: list[Finding] = []
+        first = 0
+        for at, part in zip(self.evaluator.used, self.kept[-1].parts, strict=True):
+            slopes = np.full((len(at.case.measured.numbers), len(self.campaign.parameters)), np.nan)
+            rows = part.pairing.measured
+            if self.matrix is not None:
+                slopes[rows] = self.matrix.values[first : first + rows.size]
+            first += rows.size
+            found += causes(at.case, part.whole, slopes)
         return replace(record, trust=with_concerns(record.trust, *cause_sentences(found)))
 
     def _from(self, tried: FoundMinima) -> End:

@@ -22,18 +22,17 @@ from modetune.core.storage.campaign_record import RunCounts
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
+from modetune.flows.diagnosis.causes import model_causes
 from modetune.flows.diagnosis.findings import MODEL, PAIRING, TEST, Finding, Level, worst
 from modetune.flows.diagnosis.measured_modes import data_findings
 from modetune.flows.diagnosis.pairing import (
     ModePreview,
-    factor_findings,
     margin_findings,
     pairing_findings,
     preview,
     uncertain_findings,
-    unmeasured,
 )
-from modetune.flows.diagnosis.sensors import sensor_findings, suspected_sensors
+from modetune.flows.diagnosis.sensors import sensor_findings
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.studies.check.model import (
@@ -168,18 +167,17 @@ def judged(
     found += margin_findings(test, elastic, result.modes.n_modes < n_asked)
     try:
         every = preview(test, elastic, campaign.case.rules)
-        wrong_unit = tuple(factor_findings(test, elastic))
-        found += wrong_unit or uncertain_findings(test, elastic, campaign.case.rules)
+        uncertain = tuple(uncertain_findings(test, elastic, campaign.case.rules))
     except ModesError as error:
         return PreCheckReport((*found, PAIRING.wrong(str(error))), facts, runs=runs)
     modes = tuple(mode for mode in every if mode.mode in campaign.test.numbers)
     paired = np.array([mode.elastic_mode - 1 for mode in modes], dtype=np.int64)
     shares = shares_in(paired) if shares_in else energy_shares(result, paired)
-    if not wrong_unit:  # no pair within the bounds is right then
+    reasons = model_causes(campaign.case, result, every, _slopes(campaign, modes, shares))
+    if worst(reasons) != "wrong":  # no pair within the bounds is right then
+        found += uncertain
         found += pairing_findings(modes, float(elastic.frequencies_hz.max()), campaign.case.rules)
-    if shapes and not wrong_unit:
-        found += suspected_sensors(test, campaign.case.sensors, result.elastic, every)
-    found += unmeasured(test, elastic, every, _leaves_modes_out(campaign))
+    found += reasons
     found += energy_findings(campaign, result, [mode.mode for mode in modes], shares)
     return PreCheckReport(tuple(found), facts, modes, shares, runs)
 
@@ -210,7 +208,16 @@ def _shares(
     )
 
 
-def _leaves_modes_out(campaign: Campaign) -> bool:
-    """Return whether the test has modes that the campaign neither uses nor holds out."""
-    there = campaign.case.measurement.modes
-    return there is not None and not set(there.numbers) <= set(campaign.case.measured.numbers)
+def _slopes(
+    campaign: Campaign, modes: tuple[ModePreview, ...], shares: tuple[EnergyShare, ...]
+) -> Floats | None:
+    """Return derivatives of ln lambda of the measured modes, NaN where shares do not give them."""
+    parameters, numbers = campaign.parameters.parameters, campaign.case.measured.numbers
+    if not parameters:
+        return None
+    slopes = np.full((len(numbers), len(parameters)), np.nan)
+    linear = all(QUANTITIES[item.quantity].powers in ((1, 0), (0, 1)) for item in parameters)
+    if linear and len(shares) == len(parameters):
+        rows = [numbers.index(mode.mode) for mode in modes]
+        slopes[rows] = np.stack([item.shares for item in shares], axis=1)
+    return slopes

@@ -32,7 +32,8 @@ from modetune.flows.campaign.schema import SensitivitySection, UpdateSection
 from modetune.flows.cli.command import command_of
 from modetune.flows.diagnosis.findings import Finding, worst
 from modetune.flows.diagnosis.measured_modes import data_findings
-from modetune.flows.diagnosis.pairing import preview, unmeasured
+from modetune.flows.diagnosis.missing_modes import unmeasured
+from modetune.flows.diagnosis.pairing import preview
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.check.pre_check import NO_RUN, PreCheckReport, check_campaign, judged
 from modetune.flows.studies.check.study import check_summary
