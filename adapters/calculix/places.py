@@ -144,11 +144,7 @@ def fields_of(
 
 
 def numbers_on(
-    structure: CalculixStructure,
-    row: Keyword,
-    quantity: Quantity,
-    card: KeywordCard,
-    name: str,
+    structure: CalculixStructure, row: Keyword, quantity: Quantity, card: KeywordCard, name: str
 ) -> list[KeywordField]:
     """Return the numbers of a quantity on one of their cards. Raises ModelError."""
     elements = structure.mesh.elements

@@ -7,11 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from modetune.adapters.calculix.cards import SECTIONS
-from modetune.adapters.calculix.deck import (
-    KeywordCard,
-    KeywordDeck,
-    canonical_name,
-)
+from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh, roles_of
 from modetune.adapters.solver import ModelSummary
 

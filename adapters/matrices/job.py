@@ -138,8 +138,7 @@ def _modal(
 def _matrices(model: MatrixModel, arrays: dict[str, Floats]) -> MatrixResult:
     stiffness, mass = (
         sparse.csr_array(
-            tuple(arrays[f"{name}_{part}"] for part in CSR),
-            shape=model.stiffness.shape,
+            tuple(arrays[f"{name}_{part}"] for part in CSR), shape=model.stiffness.shape
         )
         for name in ("stiffness", "mass")
     )

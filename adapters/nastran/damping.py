@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.damping import Coefficients, Dampers, Link, group, losses_of
-from modetune.adapters.deck_numbers import Number
 from modetune.adapters.nastran.cards import CARDS, fields_of, holds
 from modetune.adapters.nastran.fields import NastranCard
 from modetune.adapters.nastran.mesh import bush_axes, bush_place, output_frames
@@ -61,11 +60,7 @@ def dampers(
     structure: Structure, deck: Deck, parameters: Sequence[Parameter], uniform: float
 ) -> Dampers:
     """All that damps the deck; uniform: PARAM,G. Raises ModelError for what is not followed."""
-
-    def numbers_of(item: Parameter) -> list[Number]:
-        return deck.numbers(item)
-
-    known = Coefficients(parameters, numbers_of)
+    known = Coefficients(parameters, deck.numbers)
     groups, factors, places = damped_groups(structure), list[Linear](), list[str]()
     for item in groups:
         family = (

@@ -16,11 +16,7 @@ from pathlib import Path
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
-from modetune.adapters.nastran.fields import (
-    NastranCard,
-    read_cards,
-    read_number,
-)
+from modetune.adapters.nastran.fields import NastranCard, read_cards, read_number
 from modetune.core.errors import ModelError
 
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
@@ -28,20 +24,13 @@ CONTROL = re.compile(r"\s*(SOL(?=[\s=,])|CEND\b|BEGIN\b)\s*[=,]?\s*([^$]*)", re.
 END = re.compile(r"\s*ENDDATA\b", re.IGNORECASE)
 #: A quoted file name that has not ended after this many lines has lost its quote.
 LONGEST_NAME = 20
-#: Solution sequences by name, those that a model for modes comes with.
-SOLUTIONS = {
-    "SESTATIC": 101, "SESTATICS": 101, "STATICS": 101, "SEMODES": 103, "MODES": 103,
-    "SEBUCKL": 105, "SEDCEIG": 107, "SEDFREQ": 108, "SEDTRAN": 109, "SEMCEIG": 110,
-    "SEMFREQ": 111, "SEMTRAN": 112, "DESOPT": 200,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class NastranDeck:
     """A deck with its includes in place: its lines, and the cards of its bulk data.
 
-    executive, case_control, bulk: positions in lines; CEND belongs to executive, and begin_bulk
-    is the position of BEGIN BULK, None in a file of bulk data alone. sol: the solution sequence.
+    executive, case_control, bulk: positions in lines; CEND belongs to executive.
     """
 
     file: Path
@@ -50,9 +39,7 @@ class NastranDeck:
     cards: tuple[NastranCard, ...]
     executive: range
     case_control: range
-    begin_bulk: int | None
     bulk: range
-    sol: int | None
 
     def named(self, *names: str) -> list[NastranCard]:
         """All cards of these names, in order."""
@@ -77,11 +64,11 @@ def read_deck(path: Path) -> NastranDeck:
     lines: list[Line] = []
     includes: list[Include] = []
     _read_file(path, path.parent, (path.resolve(),), lines, includes)
-    deck = _divide(path, tuple(lines), tuple(includes))
-    deck = replace(deck, cards=read_cards(deck.lines, deck.bulk))
-    if not deck.cards:
+    executive, case_control, bulk = _sections(path, lines)
+    cards = read_cards(lines, bulk)
+    if not cards:
         raise ModelError(f"{path}, line 1: the file holds no bulk data")
-    return deck
+    return NastranDeck(path, tuple(lines), tuple(includes), cards, executive, case_control, bulk)
 
 
 def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
@@ -189,38 +176,29 @@ def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
     return [f"INCLUDE '{name}'", *("$" for _ in lines[1:])]
 
 
-def _divide(path: Path, lines: tuple[Line, ...], includes: tuple[Include, ...]) -> NastranDeck:
-    """Find the sections of a deck. Raises ModelError where one has no end."""
-    cend, begin, sol = None, None, None
-    controls = ((position, CONTROL.match(line.text)) for position, line in enumerate(lines))
-    for position, found in controls:
+def _sections(path: Path, lines: Sequence[Line]) -> tuple[range, range, range]:
+    """Find executive, case control and bulk data. Raises ModelError where one has no end."""
+    cend, begin, has_solution = None, None, False
+    for position, line in enumerate(lines):
+        found = CONTROL.match(line.text)
         if found is None:
             continue
         word, rest = found.group(1).upper(), found.group(2).strip().upper()
-        where = lines[position].where
         if word == "BEGIN":
             if rest != "BULK" or begin is not None:
                 raise ModelError(
-                    f"{where}: superelements and part models are not read: BEGIN {rest}"
+                    f"{line.where}: superelements and part models are not read: BEGIN {rest}"
                 )
             begin = position
         elif begin is not None:
-            raise ModelError(f"{where}: {word} after BEGIN BULK")
+            raise ModelError(f"{line.where}: {word} after BEGIN BULK")
         elif word == "CEND":
             cend = position
-        elif cend is None:
-            sol = _solution(rest)
-    if begin is None and (cend is not None or sol is not None):
+        else:
+            has_solution = True
+    if begin is None and (cend is not None or has_solution):
         raise ModelError(f"{path}, line {len(lines)}: the deck ends without BEGIN BULK")
     first_case = 0 if cend is None else cend + 1
     first_bulk = 0 if begin is None else begin + 1
     last = len(lines) - 1 if lines and END.match(lines[-1].text) else len(lines)
-    sections = range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)
-    return NastranDeck(path, lines, includes, (), sections[0], sections[1], begin, sections[2], sol)
-
-
-def _solution(text: str) -> int | None:
-    """The number of a solution sequence given by number or name, None where it is not known."""
-    word = re.match(r"\w*", text)
-    name = word.group() if word else ""
-    return int(name) if name.isdecimal() else SOLUTIONS.get(name)
+    return range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)

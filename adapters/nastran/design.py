@@ -313,42 +313,21 @@ def _text(node: ast.expr, names: Mapping[str, str]) -> str:
     raise AssertionError(ast.dump(node))
 
 
-#: Response types of DSCMCOL that this number alone identifies.
-WEIGHT, MODE, DISPLACEMENT = 1, 4, 5
-#: Response types of DRESP1 cards in EDOM.
-EDOM_EIGENVALUE, EDOM_FREQUENCY = 4, 12
-#: The first words of the records of these cards in EDOM.
-DESVAR, DRESP1 = (3106, 31), (3806, 38)
-WORDS = 9
+#: The first words of the record of DESVAR cards in EDOM, and words of a response in DSCMCOL.
+DESVAR, WORDS = [3106, 31], 9
 ASK = "PARAM,POST,-1 in the bulk data and DSAPRT(EXPORT,END=SENS)=ALL in the case control write it"
-
-
-@dataclass(frozen=True, slots=True)
-class DesignResponse:
-    """One column.
-
-    kind: weight, frequency (cycles), eigenvalue, displacement, or `other N` with the type N of
-    DSCMCOL. number: of its DRESP1 card. mode: of a frequency or an eigenvalue. node, component:
-    of a displacement. 0 where it has none.
-    """
-
-    kind: str
-    number: int
-    mode: int = 0
-    node: int = 0
-    component: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class DesignSensitivities:
     """Derivatives of responses with respect to design variables, in the units of the deck.
 
-    design_variables: (n_desvar,), DESVAR numbers, ascending. responses: one a column.
-    values: (n_desvar, n_response).
+    design_variables: (n_desvar,), DESVAR numbers, ascending. responses: (n_response,), numbers of
+    DRESP1 or DRESP2 cards. values: (n_desvar, n_response).
     """
 
     design_variables: Integers
-    responses: tuple[DesignResponse, ...]
+    responses: Integers
     values: Floats
 
 
@@ -368,12 +347,12 @@ def read_dscm2(path: Path) -> DesignSensitivities:
     try:
         values = _matrix(tables["DSCM2"])
         variables = _design_variables(tables["EDOM"], values.shape[0])
-        responses = _read_responses(tables["DSCMCOL"], _dresp1_types(tables["EDOM"]))
+        responses = _read_responses(tables["DSCMCOL"])
     except (ValueError, IndexError, OverflowError) as error:
         raise SolverCrashed(f"{path} holds no sensitivities that can be used: {error}") from error
-    if len(responses) != values.shape[1]:
+    if responses.size != values.shape[1]:
         raise SolverCrashed(
-            f"{path}: DSCM2 has {values.shape[1]} columns, DSCMCOL names {len(responses)}"
+            f"{path}: DSCM2 has {values.shape[1]} columns, DSCMCOL names {responses.size}"
         )
     return DesignSensitivities(variables, responses, values)
 
@@ -406,7 +385,7 @@ def _matrix(table: Op2Table) -> Floats:
 
 def _design_variables(edom: Op2Table, n_rows: int) -> Integers:
     """DESVAR numbers; a card takes nine words in newer files and eight in older ones."""
-    words = _cards(edom, DESVAR)
+    words = _desvar_words(edom)
     width = next((width for width in (9, 8) if words.size == n_rows * width), 0)
     if not width:
         raise ValueError(f"DSCM2 has {n_rows} rows, EDOM {words.size} words of DESVAR cards")
@@ -416,56 +395,29 @@ def _design_variables(edom: Op2Table, n_rows: int) -> Integers:
     return np.sort(numbers)
 
 
-def _dresp1_types(edom: Op2Table) -> dict[int, int]:
-    """Type of each DRESP1 card; a card is number, label (2), type and more, and ends with -1."""
-    words = _cards(edom, DRESP1).tolist()
-    types: dict[int, int] = {}
-    while words:
-        end = words.index(-1) if -1 in words else len(words)
-        if end > 3:
-            types.setdefault(words[0], words[3])
-        words = words[end + 1 :]
-    return types
-
-
-def _cards(edom: Op2Table, mark: tuple[int, int]) -> Integers:
+def _desvar_words(edom: Op2Table) -> Integers:
     for record in edom.records:
         if len(record.content) % record.word == 0:
             words = record.integers()
-            if tuple(words[:2].tolist()) == mark:
+            if words[:2].tolist() == DESVAR:
                 return words[3:]
     return np.zeros(0, dtype=np.int64)
 
 
-def _read_responses(table: Op2Table, types: dict[int, int]) -> tuple[DesignResponse, ...]:
+def _read_responses(table: Op2Table) -> Integers:
+    """Return the card number of each response, (n_response,)."""
     words = table.records[0].integers()
     if words.size % WORDS or not words.size:
         raise ValueError(f"DSCMCOL has {words.size} words, {WORDS} belong to a response")
-    responses = []
-    for at, row in enumerate(words.reshape(-1, WORDS).tolist()):
-        if row[0] != at + 1:
-            raise ValueError(f"DSCMCOL has response {row[0]} where {at + 1} belongs")
-        responses.append(_response(row, types))
+    rows = words.reshape(-1, WORDS)
+    strange = np.flatnonzero(rows[:, 0] != np.arange(1, len(rows) + 1))[:1].tolist()
+    if strange:
+        raise ValueError(
+            f"DSCMCOL has response {rows[strange[0], 0]} where {strange[0] + 1} belongs"
+        )
     # Responses of DRESP2 cards, in a separate record, take six words each.
-    for record in table.records[1:]:
-        rows = record.integers().reshape(-1, 6).tolist()
-        responses += [DesignResponse("other DRESP2", row[1]) for row in rows]
-    return tuple(responses)
-
-
-def _response(row: list[int], types: dict[int, int]) -> DesignResponse:
-    _, number, kind, first, second, *_ = row
-    if kind == WEIGHT:
-        return DesignResponse("weight", number)
-    if kind == DISPLACEMENT:
-        return DesignResponse("displacement", number, node=first, component=second)
-    if kind == MODE:
-        names = {EDOM_EIGENVALUE: "eigenvalue", EDOM_FREQUENCY: "frequency"}
-        name = names.get(types.get(number, 0))
-        if name is None:
-            raise ValueError(f"EDOM does not say whether DRESP1 {number} is EIGN or FREQ")
-        return DesignResponse(name, number, mode=first)
-    return DesignResponse(f"other {kind}", number)
+    more = [record.integers().reshape(-1, 6)[:, 1] for record in table.records[1:]]
+    return np.concatenate([rows[:, 1], *more])
 
 
 def mode_derivatives(
@@ -477,7 +429,7 @@ def mode_derivatives(
     rounding. Raises ValueError that names the first response or variable that is not there.
     """
     n_parameters = len(analysis.parameters)
-    columns = {response.number: place for place, response in enumerate(found.responses)}
+    columns = {number: place for place, number in enumerate(found.responses.tolist())}
     # Where the file does not number its rows, they are all of the job's design variables.
     known = found.design_variables.tolist() or list(range(1, len(found.values) + 1))
     for place, name in enumerate(analysis.parameters):

@@ -78,7 +78,7 @@ def job_text(
         "BEGIN BULK",
         *_parameters(analysis),
         *(f"PARAM,{name},{value}" for name, value in case.parameters),
-        _eigrl(model, case, n_modes, dialect),
+        _eigrl(model, case.method or 1, n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, values, analysis)
@@ -107,7 +107,7 @@ def wrapped_set(number: int, members: Iterable[int]) -> list[str]:
 def _requests(
     model: NastranModel, case: CaseControl, analysis: Analysis, dialect: Dialect
 ) -> list[str]:
-    method = f"METHOD = {_method(case)}"
+    method = f"METHOD = {case.method or 1}"
     if isinstance(analysis, SensitivityAnalysis):
         return design_commands(analysis, method)
     if isinstance(analysis, MatrixAnalysis):
@@ -135,13 +135,9 @@ def _parameters(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _method(case: CaseControl) -> int:
-    return case.method or 1
-
-
-def _eigrl(model: NastranModel, case: CaseControl, n_modes: int, dialect: Dialect) -> str:
-    shift = first_shift(model.deck, _method(case)) if dialect.name == "mystran" else ""
-    return f"EIGRL,{_method(case)},,,{n_modes},,,{shift},MASS"
+def _eigrl(model: NastranModel, method: int, n_modes: int, dialect: Dialect) -> str:
+    shift = first_shift(model.deck, method) if dialect.name == "mystran" else ""
+    return f"EIGRL,{method},,,{n_modes},,,{shift},MASS"
 
 
 def _bulk(

@@ -160,8 +160,7 @@ def beam_axes(element: Any, places: Mapping[int, Floats], frames: Mapping[int, F
     grids = np.array([places[node] for node in nodes])
     if getattr(element, "wa", None) is None:
         x = _unit(grids[1] - grids[0])
-        axes = _element_axes(x, np.eye(3)[int(np.argmin(np.abs(x)))])
-        return BeamAxes(np.zeros((2, 3)), grids, axes)
+        return BeamAxes(np.zeros((2, 3)), grids, _element_axes(x, _any_direction(x)))
     kind = str(getattr(element, "offt", None) or "GGG").upper()
     if kind == (OLD_GRID if element.g0 else OLD_VECTOR):
         kind = "GGG"
@@ -186,6 +185,11 @@ def _unit(span: Floats) -> Floats:
     if not length > 0.0:
         raise ValueError("its ends coincide")
     return span / length
+
+
+def _any_direction(x: Floats) -> Floats:
+    """The basic axis that is farthest from x, where nothing depends on the orientation."""
+    return np.eye(3)[int(np.argmin(np.abs(x)))]
 
 
 def _element_axes(x: Floats, towards: Floats) -> Floats:
@@ -240,18 +244,13 @@ def bush_axes(
     if length <= size:
         raise ValueError("its ends coincide or one is grounded: it needs a CID")
     x = span / length
-    given = element.x if element.x is not None and element.x[0] is not None else None
     if element.g0:
-        guess = np.asarray(coordinates[element.g0] - place)
-    elif given is not None:
+        towards = coordinates[element.g0] - place
+    elif element.x is not None and element.x[0] is not None:
         frame = frames.get(element.node_ids[0], np.eye(3))
-        guess = np.asarray(np.asarray(given, dtype=np.float64) @ frame)
+        towards = np.asarray(element.x, dtype=np.float64) @ frame
     elif any(values[1:3]) or any(values[4:6]):
         raise ValueError("it has no orientation vector, and stiffness across its axis")
     else:
-        guess = np.eye(3)[int(np.argmin(np.abs(x)))]
-    z = np.cross(x, guess)
-    if not np.linalg.norm(z) > 1e-6 * np.linalg.norm(guess):
-        raise ValueError("its orientation vector is along its axis")
-    z = z / np.linalg.norm(z)
-    return np.array([x, np.cross(z, x), z])
+        towards = _any_direction(x)
+    return _element_axes(x, np.asarray(towards))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -87,8 +87,32 @@ class NastranModel(Deck):
         return self.structure.bulk
 
     def check(self) -> None:
-        """Raise ModelError for what jobs on another solver than Nastran cannot leave out."""
-        check_left_out(self.deck, self.bulk, self.objections)
+        """Raise ModelError for all cards that count for modes and are not understood.
+
+        For jobs on another solver than Nastran; a warning names what these leave out.
+        """
+        deck, case = self.deck, read_case_control(self.deck)
+        refuse(
+            [
+                *(item.text for item in self.objections if item.name not in HARMLESS),
+                *(f"{deck.file}: {text}" for text in case.lost),
+                *_lost_parameters(deck),
+                *_tied_bolts(deck),
+                *_temperatures(deck, case),
+            ]
+        )
+        if not any(map(has_mass, (*self.bulk.masses.values(), *self.bulk.elements.values()))):
+            raise ModelError(
+                f"{deck.file}: nothing in the model has mass, so it has no modes; give its "
+                "materials a density (RHO of MAT1) or grid points a CONM2"
+            )
+        counts = Counter(card.name for card in deck.cards if card.name in LEFT_OUT)
+        names = {name for name, _ in case.parameters}
+        names |= {card.text(1) for card in deck.named("PARAM")}
+        texts = [f"{count} {name}" for name, count in sorted(counts.items())]
+        texts += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
+        if texts:
+            logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
 
     @cached_property
     def summary(self) -> ModelSummary:
@@ -111,15 +135,13 @@ class NastranModel(Deck):
 
     def masses(self) -> MassKind:
         """By PARAM,COUPMASS, first that of the case control; lumped without it."""
-        text = self._asked("COUPMASS")
+        text = self._requested("COUPMASS")
         return "consistent" if text == "YES" or (text.isdigit() and int(text) > 0) else "lumped"
 
-    def _asked(self, name: str) -> str:
+    def _requested(self, name: str) -> str:
         """Return a parameter of the deck, first that of the case control; empty without it."""
-        asked = dict(read_case_control(self.deck).parameters)
-        for card in self.deck.named("PARAM"):
-            asked.setdefault(card.text(1), card.text(2))
-        return asked.get(name, "").upper()
+        cards = {card.text(1): card.text(2) for card in reversed(self.deck.named("PARAM"))}
+        return (cards | dict(read_case_control(self.deck).parameters)).get(name, "").upper()
 
     def other_masses(self) -> MassKind:
         """Which masses jobs on other solvers have where the deck asks for lumped ones."""
@@ -265,7 +287,7 @@ class NastranModel(Deck):
     def _dampers(self) -> Dampers:
         """What damps the model. Raises ModelError."""
         try:
-            uniform = read_number(self._asked("G") or "0")
+            uniform = read_number(self._requested("G") or "0")
         except ValueError as error:
             raise ModelError(f"{self.deck.file}: PARAM,G: {error}") from None
         return dampers(self.structure, self, self.parameters, uniform)
@@ -329,35 +351,6 @@ def understand(deck: NastranDeck, parameters: tuple[Parameter, ...] = ()) -> Nas
             bulk, owners, objections = read_bulk(deck)
             structure = Structure(deck, bulk, owners, structure.copies.with_(copies))
     return NastranModel(structure, objections, parameters)
-
-
-def check_left_out(deck: NastranDeck, bulk: Bulk, objections: Sequence[Objection]) -> None:
-    """Raise ModelError for all cards that count for modes and are not understood.
-
-    For jobs on another solver than Nastran; a warning names what these leave out.
-    """
-    case = read_case_control(deck)
-    refuse(
-        [
-            *(item.text for item in objections if item.name not in HARMLESS),
-            *(f"{deck.file}: {text}" for text in case.lost),
-            *_lost_parameters(deck),
-            *_tied_bolts(deck),
-            *_temperatures(deck, case),
-        ]
-    )
-    if not any(has_mass(item) for item in (*bulk.masses.values(), *bulk.elements.values())):
-        raise ModelError(
-            f"{deck.file}: nothing in the model has mass, so it has no modes; give its "
-            "materials a density (RHO of MAT1) or grid points a CONM2"
-        )
-    counts = Counter(card.name for card in deck.cards if card.name in LEFT_OUT)
-    names = {name for name, _ in case.parameters}
-    names |= {card.text(1) for card in deck.named("PARAM")}
-    texts = [f"{count} {name}" for name, count in sorted(counts.items())]
-    texts += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
-    if texts:
-        logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
 
 
 def _lost_parameters(deck: NastranDeck) -> Iterator[str]:

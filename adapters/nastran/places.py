@@ -212,11 +212,7 @@ def _of_elements(structure: Structure, parameter: Parameter) -> list[ValuePlace]
 
 
 def select(
-    structure: Structure,
-    parameter: Parameter,
-    card: NastranCard,
-    ident: int,
-    fields: list[Field],
+    structure: Structure, parameter: Parameter, card: NastranCard, ident: int, fields: list[Field]
 ) -> list[ValuePlace]:
     """The entries that a parameter's item picks and that hold a number. Raises ModelError."""
     where = f"{structure.deck.where(card)}: {card.name} {ident}"

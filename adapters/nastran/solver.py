@@ -40,10 +40,9 @@ from modetune.core.errors import (
     SolverExhausted,
     SolverRejected,
 )
-from modetune.core.parameters import Parameter, Values
+from modetune.core.parameters import Parameter
 from modetune.core.storage.keys import Json
 from modetune.core.updating.job_results import ModalResult, Result
-from modetune.core.updating.sensitivity import ModeDerivatives
 
 logger = logging.getLogger(__name__)
 
@@ -115,7 +114,8 @@ class NastranProgram:
         printed = self._judged(deck, folder, return_code)
         try:
             if isinstance(analysis, SensitivityAnalysis):
-                return self._derivatives(deck.values, analysis, folder, printed)
+                at = [deck.values.get(name, 1.0) for name in analysis.parameters]
+                return mode_derivatives(read_dscm2(folder / self.dialect.result_file), analysis, at)
             if isinstance(analysis, MatrixAnalysis):
                 grids = deck.model.summary.node_ids
                 return read_restart(folder, self.dialect.print_file, grids)
@@ -163,13 +163,6 @@ class NastranProgram:
         result = without_spare(modal_result(modes, analysis, elements, model.wtmass))
         doubtful = self.dialect.name == "mystran" and model.deck.named(*MISWEIGHED)
         return replace(result, mass=math.nan) if doubtful else result
-
-    def _derivatives(
-        self, values: Values, analysis: SensitivityAnalysis, folder: Path, printed: F06
-    ) -> ModeDerivatives:
-        found = read_dscm2(folder / self.dialect.result_file)
-        at = [values.get(name, 1.0) for name in analysis.parameters]
-        return mode_derivatives(found, analysis, at)
 
 
 def _place(fatal: Iterable[FatalMessage], edited: EditedNastran) -> str:

@@ -15,7 +15,6 @@ from modetune.core.near_names import suggestion
 
 #: A range of element numbers in a campaign.
 RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
-#: How many known numbers a message lists.
 #: pyNastran's names for a property's materials.
 MATERIALS = ("mid", "mid1", "mid2", "mid3", "mid4")
 

@@ -576,15 +576,7 @@ def pairs_by_similar(
 
     n_random = max(n_modes - start.shape[1], 0) + GUARD
     return block_davidson(
-        pencil.inverse,
-        shifted,
-        mass,
-        start,
-        n_modes,
-        TOLERANCE,
-        blocks,
-        n_random,
-        pencil.room_for,
+        pencil.inverse, shifted, mass, start, n_modes, TOLERANCE, blocks, n_random, pencil.room_for
     )
 
 

@@ -72,11 +72,7 @@ def factor_room(room: FactorRoom) -> Iterator[None]:
 
 
 def roomy_factors(
-    upper: sparse.csr_array,
-    *,
-    matching: bool = False,
-    columns: int = 0,
-    similar: int | None = None,
+    upper: sparse.csr_array, *, matching: bool = False, columns: int = 0, similar: int | None = None
 ) -> Pardiso | Mumps:
     """A matrix with its unknowns ordered, for factors in memory or in files.
 

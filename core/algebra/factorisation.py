@@ -203,9 +203,7 @@ def _unit_diagonal(a: sparse.csr_array) -> NDArray[np.float64]:
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 1e-12 * largest, diagonal, largest)))
 
 
-def _factors_of(
-    scaled: sparse.csr_array,
-) -> tuple[SymmetricFactors, Literal["pardiso", "superlu"]]:
+def _factors_of(scaled: sparse.csr_array) -> tuple[SymmetricFactors, Literal["pardiso", "superlu"]]:
     upper = filled_triangle(scaled)
     if is_available():
         pardiso = roomy_factors(upper, matching=True)

@@ -231,11 +231,7 @@ class _Handle:
         return bool(self.iparm.dtype == np.int64)
 
     def call(
-        self,
-        phase: int,
-        values: NDArray[Any],
-        rhs: NDArray[Any] | None,
-        out: NDArray[Any] | None,
+        self, phase: int, values: NDArray[Any], rhs: NDArray[Any] | None, out: NDArray[Any] | None
     ) -> int:
         """Run a phase; returns PARDISO's error number."""
         integer: Any = ctypes.c_int64 if self.long_integers else ctypes.c_int32

@@ -31,12 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.factorisation import SymmetricFactors, symmetric_factors
-from modetune.core.algebra.krylov import (
-    RitzPairs,
-    block_krylov,
-    unit_combinations,
-    with_random,
-)
+from modetune.core.algebra.krylov import RitzPairs, block_krylov, unit_combinations, with_random
 from modetune.core.algebra.matrices import places_in, same_pattern, union
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers

@@ -295,8 +295,7 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         if table[row, column] < LOST_MAC and (
             _space_or_zero(
-                shapes_before[:, row],
-                shapes_now[:, close_modes(computed.frequencies_hz, column)],
+                shapes_before[:, row], shapes_now[:, close_modes(computed.frequencies_hz, column)]
             )
             < LOST_MAC
         ):

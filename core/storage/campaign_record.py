@@ -68,7 +68,8 @@ iteration.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from operator import add, sub
 from pathlib import Path
 from typing import Any
 
@@ -111,22 +112,10 @@ class RunCounts:
         )
 
     def plus(self, other: RunCounts) -> RunCounts:
-        return RunCounts(
-            self.modal + other.modal,
-            self.sensitivity + other.sensitivity,
-            self.reused + other.reused,
-            self.core_s + other.core_s,
-            self.licence_s + other.licence_s,
-        )
+        return RunCounts(*map(add, astuple(self), astuple(other)))
 
     def since(self, earlier: RunCounts) -> RunCounts:
-        return RunCounts(
-            self.modal - earlier.modal,
-            self.sensitivity - earlier.sensitivity,
-            self.reused - earlier.reused,
-            self.core_s - earlier.core_s,
-            self.licence_s - earlier.licence_s,
-        )
+        return RunCounts(*map(sub, astuple(self), astuple(earlier)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,12 +26,7 @@ from modetune.adapters.test_files.histories import (
     motion_label,
     recording,
 )
-from modetune.adapters.test_files.universal.datasets import (
-    Content,
-    Function,
-    Units,
-    UniversalFile,
-)
+from modetune.adapters.test_files.universal.datasets import Content, Function, Units, UniversalFile
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.measurement.response_functions import Complexes, Response
 from modetune.core.modes import Floats

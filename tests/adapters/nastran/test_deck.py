@@ -221,21 +221,15 @@ INCLUDE 'gone.bdf'
 
 def test_the_sections_of_a_deck_are_told_apart(tmp_path: Path) -> None:
     deck = read_deck(write(tmp_path, main=CONTROL))
-    assert deck.sol == 103  # SEMODES
     assert [deck.lines[place].text for place in deck.executive][-1] == "CEND"
     assert [deck.lines[place].text for place in deck.case_control][-1] == "METHOD = 1"
-    assert deck.begin_bulk == 6
+    assert deck.bulk.start == 7
     assert names(deck) == ["GRID"]
 
 
 def test_bulk_data_alone_has_no_other_section(tmp_path: Path) -> None:
     deck = read_deck(write(tmp_path, main="GRID,1\nGRID,2\n"))
-    assert (deck.sol, deck.begin_bulk, len(deck.executive), len(deck.case_control)) == (
-        None,
-        None,
-        0,
-        0,
-    )
+    assert (len(deck.executive), len(deck.case_control)) == (0, 0)
     assert len(deck.cards) == 2
 
 
@@ -419,7 +413,6 @@ def test_real_decks_have_the_cards_pynastran_counts(shared_data: Path, case: str
     (path,) = (folder / name for name in expected["files"] if name.endswith((".bdf", ".dat")))
     deck = read_deck(path)
     assert Counter(names(deck)) == expected["cards"]
-    assert deck.sol == expected["sol"]
 
 
 def test_an_include_that_is_not_beside_a_real_deck_is_named(shared_data: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modetune.adapters.nastran.design import DesignResponse, read_dscm2
+from modetune.adapters.nastran.design import read_dscm2
 from modetune.core.errors import SolverCrashed
 
 RODS = Path(__file__).parents[1] / "data" / "nastran" / "rods.op2"
@@ -25,11 +25,8 @@ def test_the_sensitivities_of_msc_have_their_variables_and_responses(shared_data
     wanted = np.array(reference["DSCM2"])[:2, :2]
     np.testing.assert_allclose(found.values[:2, :2], wanted, rtol=1e-8)
     assert found.design_variables.tolist() == [row["id"] for row in reference["desvar_rows"]]
-    assert found.responses[:2] == (
-        DesignResponse("weight", 1),
-        DesignResponse("frequency", 4, mode=1),
-    )
-    assert [response.kind for response in found.responses[2:]] == ["other 20", "other 21"]
+    assert found.responses[:2].tolist() == [1, 4]  # the DRESP1 cards of weight and frequency
+    assert found.responses.size == 4
     # An independent solver's central differences of the same model (the reference's own note).
     check = reference["independent_check_MYSTRAN"]
     assert found.values[0, 0] == pytest.approx(check["dWeight_dSkT"], rel=1e-6)

@@ -668,7 +668,7 @@ def test_jobs_of_real_decks_are_decks_of_the_same_model(
     analysis = ModalAnalysis(5, tuple(sorted(solver.deck.summary.node_ids)))
     solver.render({}, analysis).write(tmp_path)
     again: Any = nastran_solver(tmp_path / "job.bdf", ())
-    assert again.deck.deck.sol == 103
+    assert "SOL 103" in (tmp_path / "job.bdf").read_text().splitlines()
     assert again.deck.summary.node_ids == solver.deck.summary.node_ids
     assert again.deck.summary.n_elements == solver.deck.summary.n_elements
     assert again.deck.wtmass == solver.deck.wtmass
