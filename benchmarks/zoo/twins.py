@@ -35,23 +35,26 @@ LACKING = 0.05, 0.3
 MILLIMETRE = 0.001
 
 
-def true_structure(structure: Structure, kind: Kind, rng: Generator) -> Structure:
-    """The structure that is measured: the model's own, or one with a mass more."""
-    if kind != "other":
-        return structure
+def lacking_mass(structure: Structure, mass: float, rng: Generator) -> Structure:
+    """The structure with a mass more at one of its points. mass: of the model, if not matrices."""
     if isinstance(structure.deck, dict):
-        mass = np.array(structure.deck["mass"], dtype=np.float64)
-        place = int(rng.integers(len(mass)))
-        mass[place, place] *= 1.0 + LACKING[1]
-        return replace(structure, deck={**structure.deck, "mass": mass})
+        unknowns = np.array(structure.deck["mass"], dtype=np.float64)
+        place = int(rng.integers(len(unknowns)))
+        unknowns[place, place] *= 1.0 + LACKING[1]
+        return replace(structure, deck={**structure.deck, "mass": unknowns})
+    node, lacking = int(rng.choice(structure.sensors)), LACKING[0] * mass
     if structure.deck.startswith("SOL"):
-        node = int(rng.choice(structure.sensors))
-        card = f"CONM2,999,{node},,{LACKING[0] * 0.02:.6f}\nENDDATA"
+        card = f"CONM2,999999,{node},,{lacking:.6g}\nENDDATA"
         return replace(structure, deck=structure.deck.replace("ENDDATA", card))
-    head, name, rest = structure.deck.partition("*DENSITY\n")
-    density, _, rest = rest.partition("\n")
-    heavier = f"{float(density) * (1.0 + 2.0 * LACKING[0]):.6g}"
-    return replace(structure, deck=f"{head}{name}{heavier}\n{rest}")
+    if "COMPOSITE" in structure.deck:  # CalculiX takes no mass at the nodes of composite shells
+        head, name, rest = structure.deck.partition("*DENSITY\n")
+        density, _, rest = rest.partition("\n")
+        heavier = f"{float(density) * (1.0 + 2.0 * LACKING[0]):.6g}"
+        return replace(structure, deck=f"{head}{name}{heavier}\n{rest}")
+    point = f"*ELEMENT, TYPE=MASS, ELSET=LACKING\n999999, {node}\n"
+    point += f"*MASS, ELSET=LACKING\n{lacking:.6g}\n"
+    before, step, after = structure.deck.partition("*STEP")
+    return replace(structure, deck=before + point + step + after)
 
 
 def measured(

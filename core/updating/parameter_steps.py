@@ -333,6 +333,7 @@ def parameter_covariance(
     prior_weights: Floats | None = None,
     held: Floats | None = None,
     strength: float = 1.0,
+    errors: Floats | None = None,
 ) -> Floats:
     """Covariance of the parameters that measurement variances leave, (n, n), linear.
 
@@ -340,7 +341,8 @@ def parameter_covariance(
     weighed them; prior_weights: (n_parameters,), reciprocal variances beforehand, or (n_parameters,
     n_parameters), where the step was held by them; strength: times so much stronger than what is
     known beforehand, so that they draw real changes to the initial values; held: (n_held,
-    n_parameters), changes d that bounds and limits hold, held d = 0, so that they have no variance.
+    n_parameters), changes d that bounds and limits hold, held d = 0, so that they have no variance;
+    errors: (n_residuals, n_errors), Q of a further covariance Q Q^T of the residuals.
     A parameter that nothing determines has an infinite one. With A = S^T W S + P it is
     A^-1 (S^T W V W S + strength P) A^-1, which is the familiar (S^T V^-1 S)^-1 where the weights
     are the reciprocal variances and nothing holds; in a basis of what is not held the same.
@@ -349,6 +351,9 @@ def parameter_covariance(
     weighted = weights[:, None] * sensitivity
     information = sensitivity.T @ weighted
     noise = weighted.T @ (variances[:, None] * weighted)
+    if errors is not None:
+        moved = weighted.T @ errors
+        noise = noise + moved @ moved.T
     if prior_weights is not None:
         known = np.diag(prior_weights) if prior_weights.ndim == 1 else prior_weights
         information, noise = information + known, noise + strength * known

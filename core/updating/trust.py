@@ -202,7 +202,7 @@ class Trust:
     @property
     def withheld(self) -> bool:
         """Whether no standard error describes the parameters."""
-        return too_many_missed(len(self.missed), self.n_predicted)
+        return any(np.isnan(item.standard_error) for item in self.parameters)
 
     @property
     def short(self) -> Floats:
@@ -500,10 +500,14 @@ def verdict_reasons(trust: Trust) -> tuple[str, ...]:
     """Return why the parameters are not trusted without reservations, the gravest reason first."""
     doubtful = [item.name for item in trust.parameters if item.doubtful]
     n, reasons = len(trust.parameters), []
-    if trust.withheld:
+    if too_many_missed(len(trust.missed), trust.n_predicted):
         reasons.append(
             f"{len(trust.missed)} of {trust.n_predicted} left-out modes miss the interval that the "
             f"other modes predict ({_listed(trust.missed)}), so standard errors are withheld"
+        )
+    elif trust.withheld:
+        reasons.append(
+            "the model's own error is too large for standard errors, so they are withheld"
         )
     if trust.meaningless:
         reasons.append(f"the remaining misfit is {trust.times_noise:.2g} times what noise explains")

@@ -19,6 +19,7 @@ from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.pairing import PairRules
 from modetune.core.errors import CampaignError, ModelError
+from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
 from modetune.core.parameters import Parameter, ParameterSet, Values, frequency_reach
@@ -56,7 +57,7 @@ from modetune.flows.campaign.test import (
     used_modes,
 )
 from modetune.flows.campaign.units import KILOGRAMS, METRES
-from modetune.flows.responses.residuals import ResidualSection, weighting_of
+from modetune.flows.responses.residuals import UNWEIGHTED, ResidualSection, weighting_of
 from modetune.flows.responses.response import TestedModel
 from modetune.flows.responses.section import section_problems
 
@@ -328,6 +329,8 @@ def _read_case(
     solver = solver or _read_model(source, file, problems)
     mapping, store = None, Store(_store_folder(source, file))
     if measurement is not None and solver is not None:
+        residuals = file.residuals.with_default(_compares_shapes(file, measurement, solver))
+        file = file.model_copy(update={"residuals": residuals})
         mapping = map_test(source, file, measurement, solver, problems, store)
         problems += method_problems(source, file, solver)
     if problems or measurement is None or solver is None or mapping is None:
@@ -381,6 +384,16 @@ def _read_case(
         compared=file.residuals.responses(given),
         tolerances=tolerances,
     )
+
+
+def _compares_shapes(file: CampaignFile, measurement: Measurement, solver: Solver) -> bool:
+    """Return whether the test has shapes, and step and sensitivity method can use them."""
+    method = file.sensitivity.method
+    gives = method in ("auto", "finite_difference")
+    gives |= method == "semi_analytic" and solver.deck.summary.solid_shapes
+    gives |= method == "solver" and solver.program.capabilities.shape_sensitivities
+    has = measurement.modes is not None and measurement.modes.has_shapes
+    return has and gives and file.update.step not in UNWEIGHTED
 
 
 def store_of(source: YamlFile) -> Store:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from inspect import cleandoc
 from pkgutil import resolve_name
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BeforeValidator, Field, create_model
@@ -54,6 +54,8 @@ TYPES = (
     "mass_properties:MassSection",
     "frf:FrfSection",
 )
+#: Those that compare shapes, or contain them.
+COMPARE_SHAPES = {"mac", "complex_shapes", "frf"}
 Keys = TypeVar("Keys", bound=Section)
 
 
@@ -83,8 +85,10 @@ class ResidualSection(Section):
 
     frequency_weight: Weights = Field(default=1.0, validate_default=True)
     """Weight of frequencies, one for all modes or by mode; 0 leaves them out."""
-    shape_weight: Weights = Field(default=0.0, validate_default=True)
-    """Weight of mode shapes, one for all modes or by mode; 0 leaves them out."""
+    shape_weight: Weights | None = Field(default=None)
+    """Weight of mode shapes, one for all modes or by mode; 0 leaves them out. Without it 1 where
+    shapes are measured and frequencies compared, unless `mac`, `complex_shapes` or `frf` compares
+    shapes, or `update.step` or `sensitivity.method` is for frequencies alone."""
     frequency_deviation: Deviations = Field(default=0.002, validate_default=True)
     """Standard deviation of measured frequencies, one for all modes or by mode; without it the
     test's own, if its file or repetitions give them [of the frequency]"""
@@ -152,22 +156,34 @@ class ResidualSection(Section):
             for text in section.warnings(given)
         ]
 
+    def with_default(self, has_shapes: bool) -> Self:
+        """Return the section with the weight of shapes that it leaves open.
+
+        has_shapes: whether the test has shapes, and updating can compare them.
+        """
+        if self.shape_weight is not None:
+            return self
+        compared = has_shapes and any({OTHERS: 1.0, **self.frequency_weight}.values())
+        compared = compared and not COMPARE_SHAPES & set(self.kinds)
+        return self.model_copy(update={"shape_weight": {OTHERS: float(compared)}})
+
     @property
     def by_mode(self) -> Iterator[tuple[tuple[str, ...], Mapping[str, float]]]:
         """Everything that is given by mode: its keys below `residuals`, and the values."""
-        yield from (((key,), getattr(self, key)) for key in get_args(ModeKey))
+        yield from (((key,), getattr(self, key) or {}) for key in get_args(ModeKey))
         for kind, section in self.kinds.items():
             yield from (((kind, key), getattr(section, key)) for key in section.mode_keys)
 
     @property
     def with_shapes(self) -> bool:
         """Whether shapes of some modes may be compared."""
-        weights = [self.shape_weight, *(section.shape_weights for section in self.kinds.values())]
+        own = {} if self.shape_weight is None else {OTHERS: 1.0} | self.shape_weight
+        weights = [own, *(section.shape_weights for section in self.kinds.values())]
         return any(value > 0.0 for item in weights for value in item.values())
 
     def of_mode(self, key: ModeKey, number: int, of_test: float | None = None) -> float:
         """Return a key's value for one mode; of_test: the test's, None where it has none."""
-        given: dict[str, float] = getattr(self, key)
+        given: dict[str, float] = getattr(self, key) or {}
         if str(number) in given:
             return given[str(number)]
         if of_test is None or (key in self.model_fields_set and OTHERS in given):
@@ -176,9 +192,9 @@ class ResidualSection(Section):
 
     def of_others(self, key: ModeKey) -> float:
         """Return a key's value for the modes that it does not list."""
-        given: dict[str, float] = getattr(self, key)
-        default: float = type(self).model_fields[key].default
-        return given.get(OTHERS, default)
+        given: dict[str, float] = getattr(self, key) or {}
+        default: float | None = type(self).model_fields[key].default
+        return given.get(OTHERS, 1.0 if default is None else default)
 
 
 #: Steps without weights (thesis (34), (45)).
@@ -284,6 +300,7 @@ def _idle(
 ) -> list[str]:
     """Return problems of weights that leave nothing to compare, or that have no effect."""
     where = source.where(("residuals",))
+    section = section.with_default(test.has_shapes and step not in UNWEIGHTED)
     weighting = weighting_of(section, measurement, test)
     weights = np.concatenate([weighting.frequency_weights, weighting.shape_weights])
     if not weights.any() and not any(kind.counts for kind in section.kinds.values()):

@@ -11,7 +11,15 @@ from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
 from modetune.core.storage.keys import Json
 from modetune.core.updating.identifiability import identifiability
-from modetune.core.updating.model_error import birge_ratios, linear_fit, missed_modes
+from modetune.core.updating.model_error import (
+    LARGEST,
+    LinearFit,
+    effective_number,
+    linear_fit,
+    missed_modes,
+    model_error_columns,
+    with_model_error,
+)
 from modetune.core.updating.parameter_fields import FieldAnswer, answer
 from modetune.core.updating.parameter_steps import (
     RANK_TOLERANCE,
@@ -20,6 +28,7 @@ from modetune.core.updating.parameter_steps import (
     l_curve,
     parameter_covariance,
 )
+from modetune.core.updating.responses.response import Residual
 from modetune.core.updating.trust import (
     StartSpread,
     Trust,
@@ -32,7 +41,7 @@ from modetune.core.updating.trust import (
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.tables import json_object
-from modetune.flows.updating.evaluation import Matrix
+from modetune.flows.updating.evaluation import Evaluation, Matrix, model_state, part_rows
 from modetune.flows.updating.step import (
     prior_weights,
     step_problem,
@@ -51,7 +60,7 @@ class ParameterErrors:
     standard_errors: (n,), NaN if withheld. repeatability: (n,), from the test's noise alone.
     correlation: (n, n). remaining: (n,), the distance to the minimum misfit. limited: names of
     responses at a limit there. missed: names of the modes, among n_predicted, that lie outside the
-    interval predicted from the other modes.
+    interval predicted from the other modes. notes: sentences on the model's own error.
     """
 
     standard_errors: Floats
@@ -61,12 +70,16 @@ class ParameterErrors:
     limited: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
     n_predicted: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def parameter_errors(
-    campaign: Campaign, last: IterationRecord, matrix: Matrix | None
+    campaign: Campaign, last: IterationRecord, matrix: Matrix | None, errors: Floats | None
 ) -> ParameterErrors:
     """Return the errors of the present parameters; NaN without a sensitivity.
+
+    errors: (n_residuals, n_errors), what unit errors of the model change; None for the test's noise
+    alone, as while updating is under way.
 
     The variances of the test give the covariance of the minimum, and with the model's own error
     (`core/updating/model_error`) a larger one, C. Parameters at a distance d from the minimum have
@@ -84,31 +97,78 @@ def parameter_errors(
     rows = found.independent(matrix.values)
     # A pull stronger than the prior deviations reduces real changes.
     strength = max(factor, 1.0) if np.isfinite(factor) else 1.0
-
-    def covariance_of(variances: Floats) -> Floats:
-        return parameter_covariance(rows, variances, weights, prior, held, strength)
-
-    fit = linear_fit(found, rows, remaining, weights, prior, held)
-    missed, n_predicted = missed_modes(fit)
-    covariance = covariance_of(birge_ratios(fit) ** 2 * found.variances)
+    given = weights, prior, held, strength
+    noise = parameter_covariance(rows, found.variances, *given)
+    covariance, n_predicted, size = noise, 0, 0.0
+    missed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    if errors is not None:
+        columns = found.independent(errors)
+        fit = linear_fit(found, rows, remaining, weights, columns, prior, held)
+        missed, n_predicted = missed_modes(fit)
+        fit, size = with_model_error(fit)
+        covariance = parameter_covariance(rows, fit.variances, *given, fit.errors)
+        notes = _size_note(found, fit) if size <= LARGEST else ()
     covariance = covariance + np.outer(remaining, remaining)
-    errors = np.sqrt(np.diag(covariance))
+    deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(errors, errors)
-    still = errors == 0.0
+        correlation = covariance / np.outer(deviations, deviations)
+    still = deviations == 0.0
     correlation[still], correlation[:, still] = 0.0, 0.0
     correlation[still, still] = 1.0
-    if too_many_missed(len(missed), n_predicted):
-        errors = np.where(np.isfinite(errors) & ~still, np.nan, errors)
+    if size > LARGEST or too_many_missed(len(missed), n_predicted):
+        deviations = np.where(np.isfinite(deviations) & ~still, np.nan, deviations)
     return ParameterErrors(
-        errors,
-        np.sqrt(np.diag(covariance_of(found.variances))),
+        deviations,
+        np.sqrt(np.diag(noise)),
         correlation,
         remaining,
         tuple(found.labels[row] for row in limits.tolist()),
         missed,
         n_predicted,
+        notes,
     )
+
+
+def model_errors(campaign: Campaign, evaluation: Evaluation) -> Floats:
+    """Return what unit errors of the model change of the residual, (n_residuals, n_errors).
+
+    The models of several configurations err independently.
+    """
+    parts = []
+    for case, part in zip(campaign.used, evaluation.parts, strict=True):
+        state = model_state(case, part.seen, part.pairing, part.modal, part.matrices)
+        parts.append(model_error_columns(state, part.responses))
+    whole = np.zeros((evaluation.residual.values.size, sum(part.shape[1] for part in parts)))
+    first = 0
+    for columns, rows in zip(parts, part_rows(evaluation.parts), strict=True):
+        whole[rows, first : first + columns.shape[1]] = columns
+        first += columns.shape[1]
+    return whole
+
+
+def _size_note(found: Residual, fit: LinearFit) -> tuple[str, ...]:
+    """Return a sentence on the model's own error if it exceeds the test's noise."""
+    sizes, used = np.sum(fit.errors**2, axis=1), fit.weights > 0.0
+    parts, exceeds, counts = [], False, ""
+    for block, rows in zip(found.blocks, found.block_rows, strict=True):
+        own = np.flatnonzero(used[rows]) + rows.start
+        if block.kind not in ("frequencies", "shapes") or own.size == 0:
+            continue
+        size, noise = float(sizes[own].mean()), float(fit.variances[own].mean())
+        exceeds |= size > noise
+        if block.kind == "frequencies":
+            parts.append(f"{50.0 * np.sqrt(size):.2g} % of a frequency")  # of eigenvalues: twice
+            continue
+        # An entry of a unit shape is one of its root mean square over the root of their number.
+        share = np.sqrt(size * float(block.sizes.mean()))
+        parts.append(f"{100.0 * share:.2g} % of a shape's rms")
+        n = effective_number(fit, own)
+        if n < 0.5 * own.size:
+            counts = f"; the {own.size} values of shapes count as {max(n, 1.0):.0f}"
+    if not exceeds:
+        return ()
+    return (f"What updating leaves puts the model's own error at {' and '.join(parts)}{counts}.",)
 
 
 def campaign_trust(
@@ -158,7 +218,11 @@ def campaign_trust(
             *combination_sentences(parameters.names, found),
             *(text for item in answers for text in item.doubts),
         ),
-        notes=(*(text for item in answers for text in item.sentences), *_real_parts(campaign)),
+        notes=(
+            *errors.notes,
+            *(text for item in answers for text in item.sentences),
+            *_real_parts(campaign),
+        ),
         curve=_curve(campaign, iterations),
         regularisation=last.regularisation,
         age=matrix.age,

@@ -57,6 +57,7 @@ from modetune.flows.report.tables import frame, json_object
 from modetune.flows.updating.diagnosis import (
     campaign_trust,
     field_answers,
+    model_errors,
     parameter_errors,
     trust_summary,
 )
@@ -81,11 +82,16 @@ def campaign_record(
     reason: str,
     runs: RunCounts,
     wall_s: float,
+    end: Evaluation | None = None,
 ) -> CampaignRecord:
-    """Return the present record of a campaign; standard errors are by its newest matrix."""
+    """Return the present record of a campaign; standard errors are by its newest matrix.
+
+    end: the evaluation where updating ended; without it errors are those of the test's noise.
+    """
     accepted, only = [item for item in iterations if item.accepted], campaign.only
     own = campaign.parameters
-    errors = parameter_errors(campaign, accepted[-1], matrix)
+    of_model = None if end is None else model_errors(campaign, end)
+    errors = parameter_errors(campaign, accepted[-1], matrix, of_model)
     answers = () if status == "running" else field_answers(campaign, iterations, matrix)
     return CampaignRecord(
         name=campaign.name,

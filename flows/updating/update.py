@@ -52,6 +52,7 @@ from modetune.core.storage.files import check_writable, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.updating.trust import StartSpread, with_concerns, with_spread
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.campaign.units import unit_doubt
@@ -91,6 +92,9 @@ from modetune.flows.updating.starts import (
 logger = logging.getLogger(__name__)
 
 LOG = "campaign.log"
+SHAPES_LEFT_OUT = (
+    "The measured shapes are not compared (`residuals.shape_weight`); they may tell these apart."
+)
 #: Size in bytes at which a new log begins; one previous log is kept.
 LONGEST = 8 << 20
 
@@ -297,7 +301,10 @@ class Updating:
         record = self._with_causes(record)
         if tried is not None and record.trust is not None:
             spread = tried.spread(record)
-            record = replace(record, trust=with_spread(record.trust, spread))
+            trust = with_spread(record.trust, spread)
+            if spread.rivals and any(_leaves_out_shapes(case) for case in campaign.used):
+                trust = replace(trust, notes=(*trust.notes, SHAPES_LEFT_OUT))
+            record = replace(record, trust=trust)
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
             record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
@@ -412,7 +419,12 @@ class Updating:
             reason,
             self.evaluator.runs,
             time.monotonic() - self.started,
+            None if status == "running" else self.kept[-1],
         )
+
+
+def _leaves_out_shapes(case: Case) -> bool:
+    return case.test.has_shapes and not case.needs("shapes")
 
 
 def is_same(campaign: Campaign, folder: Path) -> bool:

@@ -84,8 +84,8 @@ def test_values_that_miss_the_truth_are_told_as_such(run: CampaignRun) -> None:
         ]
     )
     # Pads, roots, masses and uneven ground are no parameters: four of five miss what they stand for
-    # by more than two deviations of the test's noise. Left-out modes show that, so that no standard
-    # error is printed; K_x on its bound has none.
+    # by more than two deviations of the test's noise. The model's own error is so large that no
+    # standard error is printed; K_x on its bound has none.
     missed = np.abs(record.updated - truth) > 2.0 * record.repeatability
     assert missed.sum() == 4
     assert np.isnan(record.standard_errors).sum() == 4
@@ -94,7 +94,9 @@ def test_values_that_miss_the_truth_are_told_as_such(run: CampaignRun) -> None:
     assert form.form.suspected
     assert record.trust is not None
     assert record.trust.withheld
-    assert "so standard errors are withheld" in trust_sentences(record.trust)[0]
+    assert (
+        "the model's own error is too large for standard errors" in trust_sentences(record.trust)[0]
+    )
     for table in (parameter_table(record), trust_table(record.trust)):
         assert ["withheld" in row for row in table.texts] == [False, True, True, True, True]
     # Two other minima have as low a misfit, with K_x at 2.6 and 12 times the deck's; none fits.

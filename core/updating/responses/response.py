@@ -201,6 +201,12 @@ class Residual:
             start += block.size
         return slice(start, start)
 
+    @property
+    def block_rows(self) -> list[slice]:
+        """The rows of each block."""
+        ends = np.cumsum([block.size for block in self.blocks]).tolist()
+        return [slice(end - block.size, end) for end, block in zip(ends, self.blocks, strict=True)]
+
     def has(self, kind: str) -> bool:
         """Return whether there are rows of a type."""
         rows = self.rows(kind)

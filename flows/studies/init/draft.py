@@ -303,7 +303,8 @@ def _rest(draft: Draft) -> Iterator[str]:
     shapes = draft.test.has_shapes
     yield "residuals:"
     yield "  frequency_weight: 1.0"
-    yield f"  shape_weight: {'0.3' if shapes else '0.0  # the test has no shapes'}"
+    if shapes:
+        yield "  shape_weight: 1.0"
     yield "  frequency_deviation: 0.002"
     if shapes:
         yield "  shape_deviation: 0.05"

@@ -42,7 +42,24 @@ def test_one_value_goes_for_all_modes(folder: Path) -> None:
     assert found.frequency_weights.tolist() == [2.0, 2.0, 2.0]
     assert found.frequency_deviations.tolist() == [0.002] * 3
     assert found.shape_deviations.tolist() == [0.1] * 3
-    assert not found.with_shapes
+    assert found.shape_weights.tolist() == [1.0] * 3  # as the test measured shapes
+
+
+@pytest.mark.parametrize(
+    ("residuals", "settings"),
+    [
+        ("  {shape_weight: 0}\n", []),
+        ("  {mac: {}}\n", []),  # compares the shapes
+        ("  {}\n", ["update.step=pseudo_inverse"]),  # knows no deviations
+        ("  {}\n", ["sensitivity.method=strain_energy"]),  # gives no derivatives of shapes
+    ],
+)
+def test_shapes_are_left_out_where_asked_or_where_something_else_excludes_them(
+    folder: Path, residuals: str, settings: list[str]
+) -> None:
+    weighting = loaded(folder, residuals, *settings).case.weighting
+    assert not weighting.with_shapes
+    assert weighting.frequency_weights.tolist() == [1.0] * 3
 
 
 def test_values_go_by_the_tests_numbers_and_the_others_have_theirs(folder: Path) -> None:
@@ -53,7 +70,7 @@ def test_values_go_by_the_tests_numbers_and_the_others_have_theirs(folder: Path)
 """
     found = loaded(folder, text).case.weighting
     assert found.frequency_weights.tolist() == [10.0, 2.0, 0.0]
-    assert found.shape_weights.tolist() == [0.0, 0.5, 0.0]  # the others as by default
+    assert found.shape_weights.tolist() == [1.0, 0.5, 1.0]  # the others as by default
     assert found.frequency_deviations.tolist() == [0.002, 0.002, 0.01]
     by_setting = loaded(folder, text, "residuals.frequency_weight.1=3").case.weighting
     assert by_setting.frequency_weights.tolist() == [3.0, 2.0, 0.0]
@@ -94,7 +111,11 @@ def test_sensors_go_by_name_or_by_point_and_those_of_no_weight_are_left_out(fold
         ("  shape_weight: 1\n  sensor_weight: {22: 2}\n", 11, "no sensor 22 (there are 2.x"),
         ("  shape_weight: 1\n  sensor_deviation:\n    2.x: 0\n", 12, "greater than 0; found 0"),
         ("  shape_weight: 1\n  sensor_weight: {2: 0, 7: 0}\n", 11, "leaves out every sensor"),
-        ("  sensor_weight: {2.x: 2}\n", 10, "has a weight, but no shapes are compared"),
+        (
+            "  shape_weight: 0\n  sensor_weight: {2.x: 2}\n",
+            11,
+            "has a weight, but no shapes are compared",
+        ),
         ("  frequency_weight: 0\n", 9, "all weights are 0"),
         ("  frequency_weight: {others: 0}\n", 9, "all weights are 0"),
     ],

@@ -50,7 +50,7 @@ def test_the_json_names_every_parameter_response_and_file(folder: Path) -> None:
     assert told["status"] == "done"
     assert [item["name"] for item in told["parameters"]] == ["k1", "k3"]
     assert [item["response"] for item in told["surrogate"]] == [
-        f"frequency of mode {number}" for number in (2, 3, 4)
+        f"{what} of mode {number}" for what in ("frequency", "shape") for number in (2, 3, 4)
     ]
     assert told["checks"] == 2
     assert all((folder / path).is_file() for path in told["written"])
