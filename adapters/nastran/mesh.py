@@ -189,7 +189,7 @@ def _unit(span: Floats) -> Floats:
 
 def _any_direction(x: Floats) -> Floats:
     """The basic axis that is farthest from x, where nothing depends on the orientation."""
-    return np.eye(3)[int(np.argmin(np.abs(x)))]
+    return np.asarray(np.eye(3)[int(np.argmin(np.abs(x)))])
 
 
 def _element_axes(x: Floats, towards: Floats) -> Floats:
