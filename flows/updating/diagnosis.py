@@ -148,7 +148,7 @@ def model_errors(campaign: Campaign, evaluation: Evaluation) -> Floats:
 
 
 def _size_note(found: Residual, fit: LinearFit) -> tuple[str, ...]:
-    """Return a sentence on the model's own error if it exceeds the test's noise."""
+    """Return a sentence on the size of the model's own error if it exceeds the test's noise."""
     sizes, used = np.sum(fit.errors**2, axis=1), fit.weights > 0.0
     parts, exceeds, counts = [], False, ""
     for block, rows in zip(found.blocks, found.block_rows, strict=True):
@@ -168,7 +168,11 @@ def _size_note(found: Residual, fit: LinearFit) -> tuple[str, ...]:
             counts = f"; the {own.size} values of shapes count as {max(n, 1.0):.0f}"
     if not exceeds:
         return ()
-    return (f"What updating leaves puts the model's own error at {' and '.join(parts)}{counts}.",)
+    text = " and ".join(parts)
+    if int(used.sum()) <= fit.sensitivity.shape[1]:
+        # Without a degree of freedom the size is that of the prior alone.
+        return (f"The standard errors assume that the model errs by {text}: no residual tests it.",)
+    return (f"What updating leaves puts the model's own error at {text}{counts}.",)
 
 
 def campaign_trust(

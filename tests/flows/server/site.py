@@ -120,8 +120,8 @@ class Site:
     def end_started(self) -> None:
         """Kill what a failed test left running."""
         for started in self._started:
-            started.kill()
-            started.communicate()
+            with started:  # waits, and closes the pipe that a test may have read to its end
+                started.kill()
         self._started.clear()
 
     def state(self, run: str) -> Any:
