@@ -5,11 +5,11 @@
 
 prints a Markdown row per deck: whether it is read, whether it is written back byte for byte, the
 number of modes from each solver or the first reason for having none, and the largest difference of
-the reference's first four elastic frequencies from the nearest computed one. (Some programs include
-torsion of bars and others do not, so the order of modes differs.) The reference is the OP2 or F06
-file next to the deck if it has modes, otherwise MYSTRAN. `--json FILE` writes the rows, `--counts`
-prints only the sums. Decks outside linear structural dynamics are recognised by their cards
-(outside.py) and counted separately.
+the first ten elastic frequencies from those of the program that made the files next to the deck
+(references.py). Modes are compared one to one, by their shapes where the files have them, and a
+missing mode counts as wrong. `--json FILE` writes the rows, `--counts` prints only the sums. Decks
+outside linear structural dynamics are recognised by their cards (outside.py) and counted
+separately.
 """
 
 from __future__ import annotations
@@ -23,38 +23,36 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from benchmarks.card_decks import write_decks
 from benchmarks.outside import outside
+from benchmarks.references import Reference, difference, needed, reference
 
-from modetune.adapters.nastran.deck import read_deck, write_edited
-from modetune.adapters.nastran.f06 import read_f06
+from modetune.adapters.nastran.deck import NastranDeck, read_deck, write_edited
 from modetune.adapters.nastran.model import understand
-from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import ModalAnalysis, Solver
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import ModetuneError
-from modetune.core.modes import Floats
+from modetune.core.modes import ModeSet
 from modetune.core.parameters import Parameter
 from modetune.core.updating.job_results import ModalResult
 
 #: Number of requested modes; a small model has fewer.
 MODES = (10, 6, 4, 2, 1)
-#: Number of compared elastic modes.
-COMPARED = 4
-#: Modes below this part of the largest frequency are rigid, if the solver does not mark them.
-RIGID = 1e-4
-#: Number of nodes with requested shapes, to check that shapes are read.
-NODES = 3
+#: Number of nodes with requested shapes: to check that shapes are read, and to compare them.
+NODES, SHAPE_NODES = 3, 100
+#: Fields of GRID: its number, and the frame of its results.
+IDENT, FRAME = 1, 6
 TIMEOUT_S = 120.0
 #: Part of the message about a model that has no modes.
 MASSLESS = "nothing in the model has mass"
 SUFFIXES = (".bdf", ".dat", ".nas")
+#: The solvers in the column of differences.
+LETTERS = {"mystran": "M", "calculix": "C"}
 BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
     "mystran": mystran_solver,
     "calculix": translated_solver,
@@ -63,7 +61,11 @@ BINDERS: dict[str, Callable[[Path, tuple[Parameter, ...]], Solver]] = {
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """The outcome of a deck. A solver's column has the number of modes, or the reason for none."""
+    """The outcome of a deck. A solver's column has the number of modes, or the reason for none.
+
+    difference: of each solver from the reference, or of CalculiX from MYSTRAN without a reference;
+    source: of the reference; right: the solvers within 1 % of it.
+    """
 
     deck: str
     read: str
@@ -72,6 +74,8 @@ class Row:
     calculix: str
     difference: str
     outside: str = ""
+    source: str = ""
+    right: tuple[str, ...] = ()
 
     @property
     def runs(self) -> bool:
@@ -91,7 +95,7 @@ def decks_below(folder: Path) -> list[Path]:
 
 
 def look_at(path: Path, name: str) -> Row:
-    """Read, write back and run a deck."""
+    """Read, write back and run a deck, and compare its modes."""
     logging.disable(logging.WARNING)
     other = outside(path)
     try:
@@ -99,25 +103,46 @@ def look_at(path: Path, name: str) -> Row:
         understand(deck).mesh()
     except ModetuneError as error:
         return Row(name, reason(error), "", "", "", "", other)
+    known = reference(path)
+    found: dict[str, ModeSet] = {}
+    told: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         copy = write_edited(deck, {}, Path(folder) / "copy")
         same = "yes" if copy.read_bytes() == path.read_bytes() else "no"
-        found: dict[str, str] = {}
-        frequencies: dict[str, Floats] = {}
+        nodes, n_modes = compared_nodes(deck, known), needed(known.modes) if known else 0
         for solver, binder in BINDERS.items():
             try:
-                frequencies[solver] = solve(binder(path, ()), Path(folder) / solver)
-                found[solver] = str(frequencies[solver].size)
+                found[solver] = solve(binder(path, ()), Path(folder) / solver, nodes, n_modes)
+                told[solver] = str(found[solver].n_modes)
             except ModetuneError as error:
-                found[solver] = reason(error)
-    said = compared(frequencies, reference(path))
-    return Row(name, "yes", same, found["mystran"], found["calculix"], said, other)
+                told[solver] = reason(error)
+    if known is None:
+        both = difference(found["calculix"], found["mystran"]) if len(found) == 2 else ""
+        return Row(name, "yes", same, told["mystran"], told["calculix"], str(both), other)
+    apart = {solver: difference(modes, known.modes) for solver, modes in found.items()}
+    text = "; ".join(f"{LETTERS[solver]} {one}" for solver, one in apart.items())
+    right = tuple(solver for solver, one in apart.items() if one.right)
+    return Row(
+        name, "yes", same, told["mystran"], told["calculix"], text, other, known.source, right
+    )
 
 
-def solve(solver: Solver, folder: Path) -> Floats:
-    """Frequencies in Hz, rigid modes as 0. Raises ModetuneError."""
-    nodes = tuple(sorted(solver.deck.summary.node_ids))[:NODES]
-    for n_modes in MODES:
+def compared_nodes(deck: NastranDeck, known: Reference | None) -> tuple[int, ...]:
+    """Return nodes whose results are in the basic frame: of the reference, if it has shapes."""
+    wanted = set() if known is None else set(known.modes.nodes.tolist())
+    nodes = []
+    for card in deck.named("GRID"):
+        number, frame = deck.number(card, IDENT), deck.number(card, FRAME)
+        if number is not None and not frame:
+            nodes.append(int(number))
+    chosen = sorted(wanted.intersection(nodes)) or sorted(nodes)[:NODES]
+    return tuple(chosen[:: max(len(chosen) // SHAPE_NODES, 1)])
+
+
+def solve(solver: Solver, folder: Path, nodes: tuple[int, ...] = (), at_least: int = 0) -> ModeSet:
+    """Modes at these nodes, rigid ones at 0 Hz. Raises ModetuneError."""
+    nodes = nodes or tuple(sorted(solver.deck.summary.node_ids))[:NODES]
+    for n_modes in (at_least, *MODES) if at_least > MODES[0] else MODES:
         analysis = ModalAnalysis(n_modes, nodes)
         place = folder / str(n_modes)
         place.mkdir(parents=True)
@@ -132,49 +157,10 @@ def solve(solver: Solver, folder: Path) -> Floats:
                 raise
             continue
         assert isinstance(result, ModalResult)
-        frequencies = result.modes.frequencies_hz.copy()
-        frequencies[: result.n_rigid] = 0.0
-        return frequencies
+        frequencies_hz = result.modes.frequencies_hz.copy()
+        frequencies_hz[: result.n_rigid] = 0.0
+        return replace(result.modes, frequencies_hz=frequencies_hz)
     raise AssertionError
-
-
-def reference(path: Path) -> Floats:
-    """Return frequencies in Hz from the OP2 or F06 file next to a deck, (0,) without one."""
-    for other in sorted(path.parent.iterdir()):
-        if other.stem.lower() != path.stem.lower():
-            continue
-        try:
-            if other.suffix.lower() == ".op2":
-                values = read_op2(other).eigenvalues
-            elif other.suffix.lower() == ".f06":
-                values = read_f06(other).modes.eigenvalues
-            else:
-                continue
-        except (ModetuneError, ValueError):
-            continue
-        if values.size:
-            return np.asarray(np.sqrt(np.maximum(values, 0.0)) / (2.0 * np.pi))
-    return np.zeros(0)
-
-
-def compared(found: dict[str, Floats], reference: Floats) -> str:
-    """Largest relative difference of elastic frequencies, and of what it is."""
-    if reference.size:
-        pairs = [(f"{name} / reference", values, reference) for name, values in found.items()]
-    elif len(found) == 2:
-        pairs = [("calculix / mystran", found["calculix"], found["mystran"])]
-    else:
-        return ""
-    said = []
-    for name, *both in pairs:
-        mine, wanted = (values[values > RIGID * values.max(initial=0.0)] for values in both)
-        wanted = wanted[:COMPARED]
-        if not (mine.size and wanted.size):
-            said.append(f"{name}: rigid modes alone")
-            continue
-        apart = np.array([mine[np.argmin(np.abs(mine / f - 1.0))] / f - 1.0 for f in wanted])
-        said.append(f"{name}: {100.0 * apart[np.argmax(np.abs(apart))]:+.2g} %")
-    return "; ".join(said)
 
 
 def reason(error: Exception) -> str:
@@ -201,15 +187,20 @@ def counts(rows: Sequence[Row]) -> str:
         members = [row for row in massive if row.outside == kind]
         said = kind or "nothing outside linear structural dynamics"
         lines.append(f"{said}: {len(members)}, of which {sum(r.runs for r in members)} run")
+    known = [row for row in rows if row.source and not row.outside]
+    right = [f"{solver} {sum(solver in row.right for row in known)}" for solver in BINDERS]
+    either = sum(bool(row.right) for row in known)
+    lines.append(f"with a reference {len(known)}, within 1 %: {', '.join(right)}, either {either}")
     return "\n".join(lines)
 
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """The rows as a Markdown table."""
-    yield "| deck | read | written back | MYSTRAN | CalculiX | largest difference | outside |"
-    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    yield "| deck | read | written back | MYSTRAN | CalculiX | difference | outside | reference |"
+    yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
     for row in rows:
-        yield "| " + " | ".join(asdict(row).values()) + " |"
+        cells = {name: text for name, text in asdict(row).items() if name != "right"}
+        yield "| " + " | ".join(cells.values()) + " |"
 
 
 def main(arguments: Sequence[str]) -> int:

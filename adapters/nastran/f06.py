@@ -57,10 +57,16 @@ def number(text: str) -> float:
 
 
 class EigenvalueTable:
-    """REAL EIGENVALUES: mode, order, eigenvalue, radians, cycles, generalised mass, stiffness."""
+    """REAL EIGENVALUES: mode, order, eigenvalue, radians, cycles, generalised mass, stiffness.
+
+    A table before or after the AUGMENTATION OF RESIDUAL VECTORS gives way to one without: then it
+    holds the fixed-interface modes of a component.
+    """
 
     def __init__(self) -> None:
         self._open = False
+        self._augmented = False
+        self._of_component = False
         self._rows: list[list[float]] = []
         self._complete = False
         self._problem = ""
@@ -70,12 +76,18 @@ class EigenvalueTable:
             self._open = False
         elif HEADING.search(line):
             self._open = "R E A L   E I G E N V A L U E S" in line
+            self._augmented = False
+        elif self._open and "AUGMENTATION OF RESIDUAL VECTORS" in line:
+            self._augmented = True
         elif MESSAGE.match(line):
             self._open = False  # what messages list may look like rows
         elif self._open and re.match(r"\s+\d+\s+\d+\s", line):
             self._row(line)
 
     def _row(self, line: str) -> None:
+        if self._of_component and not self._augmented:
+            self._rows, self._complete, self._problem = [], False, ""
+        self._of_component = self._augmented
         words = line.split()
         try:
             row = [float(int(words[0])), *(number(word) for word in words[2:7])]

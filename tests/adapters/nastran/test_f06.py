@@ -82,6 +82,19 @@ def test_tables_broken_over_pages_are_put_together_and_the_first_subcase_is_read
     assert np.isnan(f06.modes.mass)
 
 
+def test_modes_of_a_component_give_way_to_those_of_the_whole(tmp_path: Path) -> None:
+    """Component mode synthesis prints fixed-interface modes first, before residual vectors."""
+    before = "                 (BEFORE AUGMENTATION OF RESIDUAL VECTORS)\n"
+    after = before.replace("BEFORE", "AFTER")
+    fixed = [PAGE, EIGENVALUES, before, row(1, 400.0), PAGE, EIGENVALUES, before, row(2, 900.0)]
+    more = [PAGE, EIGENVALUES, after, row(1, 400.0), row(2, 900.0), row(3, 4e8)]
+    whole = [PAGE, EIGENVALUES, row(1, 25.0), row(2, 36.0), PAGE, EIGENVALUES, row(3, 49.0)]
+    alone = read_f06(write(tmp_path, "".join([*fixed, *more, END])))
+    np.testing.assert_array_equal(alone.modes.eigenvalues, [400.0, 900.0])
+    found = read_f06(write(tmp_path, "".join([*fixed, *more, *whole, END])))
+    np.testing.assert_array_equal(found.modes.eigenvalues, [25.0, 36.0, 49.0])
+
+
 @pytest.mark.parametrize(
     ("name", "version"),
     [
