@@ -34,6 +34,7 @@ from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.algebra.mumps import FactorFiles
+from modetune.core.algebra.repeated_modes import canonical_rotation
 from modetune.core.algebra.rigid_modes import GIVEN, matrix_energies
 from modetune.core.errors import (
     ModelError,
@@ -63,14 +64,16 @@ def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: 
     scaled = model.assembled(factors)
     sparse.save_npz(folder / "stiffness.npz", scaled.stiffness, compressed=False)
     sparse.save_npz(folder / "mass.npz", scaled.mass, compressed=False)
-    n_modes, rows, n_groups = 0, list[int](), 0
+    n_modes, rows, n_groups, order = 0, list[int](), 0, list[int]()
     if isinstance(analysis, ModalAnalysis):
-        rows = np.flatnonzero(np.isin(model.nodes, analysis.nodes)).tolist()
+        seen = np.flatnonzero(np.isin(model.nodes, analysis.nodes))
+        rows = seen.tolist()
+        order = seen[np.lexsort((model.components[seen], model.nodes[seen]))].tolist()
         n_modes, n_groups = analysis.n_modes, len(analysis.groups)
         for number, (_, names) in enumerate(analysis.groups):
             group = model.group_stiffness(names, factors)
             sparse.save_npz(folder / f"group{number}.npz", group, compressed=False)
-    job = {"n_modes": n_modes, "rows": rows, "n_groups": n_groups}
+    job = {"n_modes": n_modes, "rows": rows, "order": order, "n_groups": n_groups}
     (folder / JOB).write_text(json.dumps(job))
 
 
@@ -178,11 +181,13 @@ def _solved(
     folder: Path,
     n_modes: int,
     rows: list[int],
+    order: list[int],
     n_groups: int,
 ) -> dict[str, Floats]:
     # A small system has no more modes than unknowns, and a campaign requests spare ones.
     n_modes = min(n_modes, stiffness.shape[0])
     eigenvalues, shapes = solve_modes(stiffness, mass, n_modes)
+    shapes = shapes @ canonical_rotation(eigenvalues, shapes[order])
     energies = matrix_energies(upper_triangle(stiffness), shapes, GIVEN)
     if (2.0 * energies < -NEGATIVE * np.abs(eigenvalues).max()).any():
         raise ModelError(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
+from modetune.core.algebra.repeated_modes import canonical_rotation
 from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 from modetune.core.measurement.registration import Registration
@@ -85,6 +86,7 @@ class ModalResult:
     ) -> ModalResult:
         """Modes that were solved for here. shapes: (n_dof, n_modes), mass-normalised, whose degrees
         of freedom have these nodes and components; energies: (n_modes,), of the whole model."""
+        shapes = shapes @ canonical_rotation(eigenvalues, shapes)
         return cls(
             eigenvalues=eigenvalues,
             modes=ModeSet(

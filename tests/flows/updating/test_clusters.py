@@ -196,3 +196,51 @@ def test_shapes_of_a_split_test_tell_which_way_a_model_that_is_not_split_has_to_
         campaign(tmp_path / "twin", model, measured(modes), parameters, 1e-6), tmp_path
     )
     np.testing.assert_allclose(run.record.updated, TRUTH, rtol=1e-4)
+
+
+def ring(order: list[int]) -> dict[str, Any]:
+    """Six equal masses on a ring, linked and held alike, numbered in this order in the matrices."""
+    n = len(order)
+    parts = {}
+    for mass in range(n):
+        link, held = np.zeros((n, n)), np.zeros((n, n))
+        held[mass, mass] = 500.0
+        ends = np.zeros(n)
+        ends[[mass, (mass + 1) % n]] = [1.0, -1.0]
+        link[:] = 1000.0 * np.outer(ends, ends)
+        parts[f"link{mass + 1}"] = {"stiffness": link[np.ix_(order, order)]}
+        parts[f"held{mass + 1}"] = {"stiffness": held[np.ix_(order, order)]}
+    return {
+        "stiffness": sum(part["stiffness"] for part in parts.values()),
+        "mass": np.eye(n),
+        "parts": parts,
+        "dofs": [f"{mass + 1}.x" for mass in order],
+    }
+
+
+def test_repeated_modes_at_the_start_give_one_answer_in_any_order_of_the_unknowns(
+    tmp_path: Path,
+) -> None:
+    """Frequencies alone, one start: only the basis of the start's doublets differs."""
+    truth = {"link1": 1.2, "held3": 0.8, "link4": 0.9, "held6": 1.15}
+    model = ring(list(range(6)))
+    stiffness = model["stiffness"] + sum(
+        (factor - 1.0) * model["parts"][name]["stiffness"] for name, factor in truth.items()
+    )
+    frequencies = np.sqrt(np.linalg.eigvalsh(stiffness)) / (2.0 * np.pi)
+    answers = []
+    for place, order in enumerate(([0, 1, 2, 3, 4, 5], [3, 2, 5, 4, 0, 1], [5, 4, 2, 1, 3, 0])):
+        content = {
+            "name": "ring",
+            "model": ring(order),
+            "test": {"frequencies_hz": frequencies},
+            "parameters": [
+                {"name": name, "quantity": "matrix_factor", "part": name} for name in truth
+            ],
+            "update": {"starts": 1},
+            "report": {"page": False},
+            "store": str(tmp_path / str(place)),
+        }
+        run = modetune.update(modetune.load(content, folder=tmp_path / str(place)))
+        answers.append(run.record.updated)
+    np.testing.assert_allclose(answers[1:], answers[:1] * 2, rtol=1e-6)
