@@ -145,3 +145,27 @@ def test_a_shape_of_rounding_resembles_nothing() -> None:
     kept = before.computed[[0, 2]]
     pairing = Pairing(np.arange(2), kept, np.full(2, np.nan), np.full(2, np.nan), ("",) * 2)
     np.testing.assert_array_equal(pair_by_tracking(pairing, modes, modes).computed, kept)
+
+
+def test_a_lost_mode_names_the_pair_that_took_its_likeness() -> None:
+    """The measured mode at 30 Hz resembles sine 2 most, which is the pair of the one at 20 Hz."""
+    x = np.linspace(0.0, np.pi, 22)[1:-1]
+    shapes = np.stack([np.sin(x), np.sin(2 * x), np.sin(2 * x) + 0.7 * np.sin(5 * x)], axis=1)
+    measured = mode_set([10.0, 20.0, 30.0], shapes, np.arange(20), np.full(20, 3))
+    computed = sines([10.0, 20.0, 40.0], [1, 2, 4])
+    text = r"left for it is 0\.00.*20 Hz, with MAC 0\.67, is the pair of the measured mode at 20 Hz"
+    with pytest.raises(LostMode, match=text):
+        pair_by_shape(measured, computed)
+
+
+def test_a_roll_about_the_line_of_the_sensors_is_no_pair() -> None:
+    """Its motion there, 5e-7 of bending's, happens to look like the measured mode at 30 Hz."""
+    measured = sines([10.0, 20.0, 30.0], [1, 2, 3])
+    computed = sines([10.0, 20.0, 29.0, 40.0], [1, 2, 3, 4])
+    rolls = computed.mode_shapes * np.array([1.0, 1.0, 5e-7, 1.0])
+    roll = mode_set(computed.frequencies_hz, rolls, computed.nodes, computed.components)
+    with pytest.raises(LostMode, match="the measured mode at 30 Hz"):
+        pair_by_shape(measured, roll)
+    small = computed.mode_shapes * np.array([1.0, 1.0, 5e-5, 1.0])
+    local = mode_set(computed.frequencies_hz, small, computed.nodes, computed.components)
+    assert pair_by_shape(measured, local).computed.tolist() == [0, 1, 2]
