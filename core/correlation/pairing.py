@@ -229,8 +229,8 @@ def _lost(
     best = int(np.argmax(macs))
     if owners[best] >= 0 and macs[best] >= lost_mac:
         text += (
-            f"; the computed mode at {hz[best]:.4g} Hz, with MAC {macs[best]:.2f}, is the pair of the "
-            f"measured mode at {measured.frequencies_hz[owners[best]]:.4g} Hz"
+            f"; the computed mode at {hz[best]:.4g} Hz, with MAC {macs[best]:.2f}, is the pair of "
+            f"the measured mode at {measured.frequencies_hz[owners[best]]:.4g} Hz"
         )
     elif impossible[best] and macs[best] >= lost_mac:
         text += (
