@@ -17,6 +17,8 @@ from typing import BinaryIO
 #: The share of the machine's memory that one file may take which is read as a whole: what is made
 #: of a deck or a table takes some ten times as much as its text.
 SHARE = 1 / 16
+#: Bytes read at once beyond the size that a file states.
+PIECE = 1 << 20
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -47,14 +49,18 @@ def read_regular(path: Path, most: int | None = None) -> bytes:
     """
     most = largest() if most is None else most
     with open_regular(path) as file:
-        data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else b""
-        if len(data) > most or (not data and os.fstat(file.fileno()).st_size > most):
+        size = os.fstat(file.fileno()).st_size
+        pieces = [file.read(size + 1)] if size <= most else []
+        while pieces and pieces[-1] and size <= most:  # it grew, or has no size (/proc)
+            pieces.append(file.read(PIECE))
+            size = sum(map(len, pieces))
+        if size > most:
             raise OSError(
                 errno.EFBIG,
                 f"it has more than {most / 1e6:.0f} MB, more than can be read here",
                 str(path),
             )
-    return data
+    return b"".join(filter(None, pieces))
 
 
 def largest(share: float = SHARE) -> int:

@@ -1,6 +1,7 @@
 """Updates of many twins with known truth, and counts of their verdicts.
 
     python -m benchmarks.coverage [--twins 200] [--exact 500] [--structures six_mass chain_18]
+                                  [--fault correlated|mixed|gains]
 
 Noisy twins: parameters, frequencies and shapes are drawn with the deviations that the campaign
 states; everything else has its default. A line per structure shows the share of printed 95 %
@@ -9,6 +10,11 @@ highest of any parameter, and the mean. Then it shows the shares of updates that
 that suspect a model-form error (no structure has one), and that withhold standard errors. Last are
 two figures of the p-values of the test for a model-form error: the Kolmogorov distance from a
 uniform distribution, and the share below 0.01.
+
+A fault is noise of the test that the campaign does not state: frequencies whose errors correlate by
+0.9, shapes that each hold 5 % of their neighbours' (of the rms), or sensors whose gains are off by
+3 %. The share of trusted answers and, of their parameters, those more than three standard errors
+off end each line.
 
 Exact twins: the shares of twins that reached the truth, that ended elsewhere but were called
 trusted, and that were suspected of a model-form error. Some structures have repeated modes.
@@ -62,6 +68,11 @@ from modetune.flows.updating.update import Updating
 INTERVAL = 1.96
 #: Standard deviation of the true values of twins, relative to the deck: half the default deviation.
 SCATTER = 0.1
+#: Correlation of frequencies, share of neighbours' shapes, and error of gains, of each fault.
+CORRELATION, MIXED, GAIN = 0.9, 0.05, 0.03
+FAULTS = ("correlated", "mixed", "gains")
+#: An answer is wrong beyond this many standard errors.
+FAR = 3.0
 #: An exact twin reached the truth if its parameters are within this of it.
 FOUND = 1e-3
 
@@ -158,10 +169,12 @@ EXACT = ("chain", "mechanism", "polar_masses", "assembly")
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """How the update of a twin ended; held: (n_parameters,), whether the interval has the truth;
-    withheld: whether no interval is printed."""
+    """How the update of a twin ended; held, far: (n_parameters,), whether the interval has the
+    truth, and whether the truth is more than three standard errors away; withheld: whether no
+    interval is printed."""
 
     held: tuple[bool, ...]
+    far: tuple[bool, ...]
     withheld: bool
     p_value: float
     found: bool
@@ -251,18 +264,40 @@ def _dofs(made: Structure) -> list[str]:
     return made.deck.get("dofs") or [f"{n + 1}.x" for n in range(len(made.deck["mass"]))]
 
 
-def update_twin(model: Model, seed: int, noise: bool) -> Twin:
+def faulty(test: ModeSet, fault: str, frequency_deviation: float, rng: Generator) -> ModeSet:
+    """Return a test with noise that its campaign does not state."""
+    if fault == "correlated":  # the frequencies' own noise is added later, smaller by as much
+        shared = np.sqrt(CORRELATION / (1.0 - CORRELATION)) * frequency_deviation
+        return replace(test, frequencies_hz=test.frequencies_hz * (1.0 + shared * rng.normal()))
+    shapes = test.mode_shapes
+    if fault == "mixed":
+        rms = np.sqrt(np.mean(shapes**2, axis=0))
+        unit, shares = shapes / rms, MIXED * rng.standard_normal((2, test.n_modes))
+        before, after = np.roll(unit, 1, axis=1), np.roll(unit, -1, axis=1)
+        before[:, 0], after[:, -1] = 0.0, 0.0
+        return replace(test, mode_shapes=rms * (unit + shares[0] * before + shares[1] * after))
+    gains = 1.0 + GAIN * rng.standard_normal((test.n_dof, 1))
+    return replace(test, mode_shapes=gains * shapes)
+
+
+def update_twin(model: Model, seed: int, noise: bool, fault: str = "") -> Twin:
     """One twin of a structure, updated from the deck's values."""
     campaign, rng = model.campaign, np.random.default_rng([seed, int(noise)])
     n, weighting = len(campaign.parameters), campaign.weighting
     truth = np.clip(1.0 + SCATTER * rng.standard_normal(n), 0.7, 1.4)
     test = model.measured(truth, rng)
     if noise:
-        test = noisy(test, weighting.frequency_deviations[0], weighting.shape_deviations[0], seed)
+        frequency = float(weighting.frequency_deviations[0])
+        if fault == "correlated":
+            frequency *= np.sqrt(1.0 - CORRELATION)
+        if fault:
+            test = faulty(test, fault, frequency, rng)
+        test = noisy(test, frequency, weighting.shape_deviations[0], seed)
     record = model.update(signed(test))
     verdict, apart = record_verdict(record), np.abs(record.updated - truth)
     return Twin(
         held=tuple((apart <= INTERVAL * record.standard_errors).tolist()),
+        far=tuple((apart > FAR * record.standard_errors).tolist()),
         withheld=record.trust is not None and record.trust.withheld,
         p_value=np.nan if verdict is None else verdict.form.p_value,
         found=bool((apart <= FOUND).all()),
@@ -272,20 +307,24 @@ def update_twin(model: Model, seed: int, noise: bool) -> Twin:
     )
 
 
-def noisy_twins(name: str, n: int, seed: int, settings: dict[str, Any]) -> list[Twin]:
+def noisy_twins(
+    name: str, n: int, seed: int, settings: dict[str, Any], fault: str = ""
+) -> list[Twin]:
     made, shapes = NOISY[name]
     with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
         model = Model(made(np.random.default_rng(seed)), shapes, settings, Path(folder))
         twins = []
         for place in range(n):
             try:
-                twins.append(update_twin(model, seed + place, noise=True))
+                twins.append(update_twin(model, seed + place, True, fault))
             except LostMode as error:  # refused: no computed mode resembles a measured one
                 sys.stderr.write(f"{name}, twin {seed + place}, is refused: {error}\n")
         return twins
 
 
-def exact_twins(family: str, n: int, seed: int, settings: dict[str, Any]) -> list[Twin]:
+def exact_twins(
+    family: str, n: int, seed: int, settings: dict[str, Any], fault: str = ""
+) -> list[Twin]:
     twins = []
     for place in range(n):
         rng = np.random.default_rng([seed + place, *family.encode()])
@@ -299,6 +338,8 @@ def coverage_line(name: str, twins: Sequence[Twin]) -> str:
     held = 100.0 * np.mean([twin.held for twin in twins if not twin.withheld], axis=0)
     known = [twin.p_value for twin in twins if np.isfinite(twin.p_value)]
     distance = stats.kstest(known, "uniform").statistic if known else np.nan
+    trusted = [twin for twin in twins if twin.trusted]
+    far = _share([far for twin in trusted for far in twin.far]) if trusted else np.nan
     return (
         f"{name:14}{len(twins):6d}{held.min():9.1f}{held.max():8.1f}{held.mean():8.1f}"
         f"{_share([twin.iterations == 0 for twin in twins]):14.1f}"
@@ -306,6 +347,7 @@ def coverage_line(name: str, twins: Sequence[Twin]) -> str:
         f"{_share([twin.withheld for twin in twins]):11.1f}{distance:10.3f}"
         f"{_share([p < 0.01 for p in known]) if known else np.nan:11.1f}"
         f"{np.mean([twin.iterations for twin in twins]):12.1f}"
+        f"{_share([twin.trusted for twin in twins]):11.1f}{far:15.2f}"
     )
 
 
@@ -324,7 +366,8 @@ def _share(said: Sequence[bool]) -> float:
 
 HEADS = (
     f"{'noisy twins':14}{'':6}{'least %':>9}{'most %':>8}{'mean %':>8}{'ended at 0 %':>14}"
-    f"{'accused %':>10}{'withheld %':>11}{'distance':>10}{'p < 0.01 %':>11}{'iterations':>12}",
+    f"{'accused %':>10}{'withheld %':>11}{'distance':>10}{'p < 0.01 %':>11}{'iterations':>12}"
+    f"{'trusted %':>11}{'of them far %':>15}",
     f"{'exact twins':14}{'':6}{'at truth %':>12}{'wrong trusted %':>17}{'accused %':>10}"
     f"{'iterations':>12}",
 )
@@ -336,6 +379,7 @@ def main() -> None:
     parser.add_argument("--exact", type=int, default=500, help="exact twins in all")
     parser.add_argument("--structures", nargs="*", choices=[*NOISY], default=[*NOISY])
     parser.add_argument("--others", action="store_true", help="try other starts as updates do")
+    parser.add_argument("--fault", choices=FAULTS, default="", help="of the test, unstated")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     logging.disable(logging.WARNING)
@@ -349,7 +393,9 @@ def main() -> None:
         if each:
             sys.stdout.write(f"{HEADS[number]}\n")
             for name in names:
-                sys.stdout.write(f"{line(name, run(name, each, asked.seed, settings))}\n")
+                sys.stdout.write(
+                    f"{line(name, run(name, each, asked.seed, settings, asked.fault))}\n"
+                )
                 sys.stdout.flush()
 
 

@@ -25,6 +25,7 @@ from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.stabilisation import Criteria
 from modetune.flows.campaign.arrays import write_campaign
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.extras import named_extras
 from modetune.flows.report.terminal import terminal
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
@@ -538,7 +539,7 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     parameters = {"settings": _texts(settings)} | {
         item.name: _parameter(item, given[item.name]) for item in study.fields if item.name in given
     }
-    with watched as progress:
+    with named_extras(), watched as progress:
         return carried_out(study, parameters, progress, prefect=door, campaign=loaded).found
 
 

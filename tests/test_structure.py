@@ -138,7 +138,7 @@ FLOWS = (
     ("diagnosis", "jobs"),
     ("report",),
     ("campaign",),
-    ("responses",),
+    ("responses", "extras"),
 )
 #: Rooms that know several solvers: a translation from one to another, the table of all, and the
 #: reading of what any program left.

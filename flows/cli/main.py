@@ -27,7 +27,8 @@ from typing import Annotated, Any
 import typer
 
 from modetune import __version__
-from modetune.core.errors import ModetuneError
+from modetune.core.errors import ModetuneError, SolverExhausted
+from modetune.flows.extras import named_extras
 from modetune.flows.studies.catalogue import DAY, MODEL, STUDIES, STUDY, find_study
 
 #: Commands under the headings of `--help`; `...` is the place of the heading's studies. A study's
@@ -67,14 +68,6 @@ OLD_SPELLINGS = {
     "store ls": "store list",
     "twin": "model twin",
     "worker": "server worker",
-}
-#: The extra of `modetune[...]` that brings a package; a cluster's packages report themselves.
-EXTRAS = {
-    **dict.fromkeys(("polars", "pypardiso"), "calculix"),
-    **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
-    **dict.fromkeys(("SALib", "emcee", "pandas"), "studies"),
-    "pyoma2": "oma",
-    "prefect_dask": "cluster",
 }
 
 
@@ -195,20 +188,20 @@ def main() -> None:
         command: Any = typer.main.get_command(command_line(*sys.argv[1:3]))
         for item in command.params:  # a line of help for each of two options of shells is too much
             item.hidden = item.hidden or item.name == "show_completion"
-        command(prog_name="modetune")
+        with named_extras():
+            command(prog_name="modetune")
     except ModetuneError as error:
         _fail(str(error), error.exit_code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None
-    except Exception as error:  # a fault of ours, saved for a report
-        missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
-        if extra := EXTRAS.get(missing.partition(".")[0]):
-            _fail(
-                f"this requires the package {missing.partition('.')[0]}, which is not installed: "
-                f"pip install 'modetune[{extra}]', or modetune[all] for everything",
-                2,
-            )
+    except MemoryError:
+        _fail(
+            "the memory of this machine, or the limit of this process (`ulimit -v`), is too small "
+            "for this; raise the limit, or use a smaller model or fewer jobs in parallel",
+            SolverExhausted.exit_code,
+        )
+    except Exception:  # a fault of ours, saved for a report
         with tempfile.NamedTemporaryFile(
             "w", prefix="modetune-", suffix=".log", delete=False
         ) as log:

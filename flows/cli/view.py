@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +27,8 @@ def view(
     """Show the campaign live in a browser, and set pairs, poles and sensors there."""
     from modetune.flows.studies.view.server import serve_view
 
+    redirect = ExitStack()
+
     def opened(address: str) -> None:
         typer.echo(f"view  {address}")
         typer.echo(
@@ -33,7 +38,19 @@ def view(
         if browser:
             import webbrowser
 
-            webbrowser.open(address)
+            webbrowser.open(redirect.enter_context(redirect_page(address)).as_uri())
 
-    with stoppable("stopped; everything written is kept"):
+    with redirect, stoppable("stopped; everything written is kept"):
         serve_view(campaign_file, runs, port, opened)
+
+
+@contextmanager
+def redirect_page(address: str) -> Iterator[Path]:
+    """A page that only this account can read and that leads to an address.
+
+    Any account can read a browser's command line, and the address holds the session's token.
+    """
+    with tempfile.NamedTemporaryFile("w", prefix="modetune-view-", suffix=".html") as file:  # 0600
+        file.write(f'<meta http-equiv="refresh" content="0; url={address}">\n')
+        file.flush()
+        yield Path(file.name)

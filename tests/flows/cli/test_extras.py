@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from modetune.flows.cli.main import EXTRAS
+from modetune.flows.extras import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[3]
 SIX_MASS = ROOT / "configs" / "six_mass"
@@ -50,6 +50,22 @@ def test_a_study_says_which_extra_it_requires(
     assert f"requires the package {package}" in done.stderr
     assert "pip install 'modetune[studies]'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_python_api_says_which_extra_it_requires(tmp_path: Path) -> None:
+    shutil.copytree(SIX_MASS, tmp_path, dirs_exist_ok=True)
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]!r})); import modetune\n"
+        "run = modetune.update('campaign.yaml', prefect=False)\n"
+        "print(len(run.parameters))\n"
+        "modetune.sample('campaign.yaml', prefect=False)\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == "4\n"
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("modetune.core.errors.ModetuneError: this requires the package emcee")
+    assert "pip install 'modetune[studies]'" in last
 
 
 def test_the_extras_bring_what_is_asked_for() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from modetune.flows.cli import main as main_module
 from modetune.flows.cli.main import GROUPS, OLD_SPELLINGS, app, command_line
 from tests.command_line import run_command
 
@@ -51,6 +52,19 @@ def test_the_warning_leaves_the_json_object_alone(tmp_path: Path) -> None:
     assert ended.returncode == 0
     assert json.loads(ended.stdout)["modes"][0]["frequency_hz"] == 10.0
     assert "`modetune files inspect`" in ended.stderr
+
+
+def test_too_little_memory_is_told_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def exhausted(*words: str) -> typer.Typer:
+        raise MemoryError
+
+    monkeypatch.setattr(main_module, "command_line", exhausted)
+    with pytest.raises(SystemExit) as ended:
+        main_module.main()
+    assert ended.value.code == 4
+    assert "ulimit -v" in capsys.readouterr().err
 
 
 def test_a_named_command_comes_alone() -> None:

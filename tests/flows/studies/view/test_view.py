@@ -23,6 +23,7 @@ from modetune.flows.campaign.schema import STORE_VARIABLE
 from modetune.flows.updating.display import ConsoleProgress
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
+from tests.eventually import eventually
 from tests.flows.studies.view.hook import MOVED, TURN, Hook, write_hook
 
 pytestmark = needs_ccx
@@ -101,6 +102,36 @@ def write_change(page: Any, which: str) -> str:
     page.click("#write")
     page.wait_for_selector("#change:not([open])", state="attached")
     return shown
+
+
+def test_a_browser_is_opened_without_the_token_on_its_command_line(
+    hook: Hook, tmp_path: Path
+) -> None:
+    """Any account can read command lines: the browser gets a page of this account that leads on."""
+    told, program = tmp_path / "told", tmp_path / "browser"
+    program.write_text(
+        f'#!/bin/sh\npage="${{1#file://}}"\n{{ echo "$1"; stat -c %a "$page"; cat "$page"; }} '
+        f">{told}.part\nmv {told}.part {told}\n"
+    )
+    program.chmod(0o700)
+    server = subprocess.Popen(
+        [sys.executable, "-m", "modetune", "view", hook.campaign.name, "--open"],
+        cwd=hook.campaign.parent,
+        env={**os.environ, "BROWSER": str(program)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert server.stdout is not None
+    address = server.stdout.readline().split()[1]
+    eventually(told.exists)
+    opened, mode, text = told.read_text().splitlines()
+    assert address.partition("token=")[2] not in opened
+    assert mode == "600"
+    assert f'url={address}"' in text
+    server.send_signal(signal.SIGINT)
+    server.stdout.close()
+    assert server.wait(30) == 130
+    assert not Path(opened.removeprefix("file://")).exists()
 
 
 def test_only_the_token_opens_the_page_once_and_only_this_host_and_page_may_ask(
