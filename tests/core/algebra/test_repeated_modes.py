@@ -16,19 +16,22 @@ from modetune.core.modes import Floats
 def ring(n: int) -> tuple[Floats, Floats]:
     """Masses on a ring, with springs to their neighbours and to ground: pairs of equal modes."""
     k = 2.5 * np.eye(n) - np.roll(np.eye(n), 1, axis=0) - np.roll(np.eye(n), -1, axis=0)
-    return k, np.eye(n)
+    return np.asarray(k), np.eye(n)
 
 
 def three_axes(n: int) -> tuple[Floats, Floats]:
     """A chain that moves alike along x, y and z: triples of equal modes."""
     chain = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    return np.kron(chain, np.eye(3)), np.diag(np.repeat(np.arange(1.0, n + 1.0), 3))
+    return np.asarray(np.kron(chain, np.eye(3)), dtype=float), np.diag(
+        np.repeat(np.arange(1.0, n + 1.0), 3)
+    )
 
 
 def grillage(n: int) -> tuple[Floats, Floats]:
     """A square membrane of n by n points: modes (j, k) and (k, j) are equal."""
     line = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
-    return np.kron(line, np.eye(n)) + np.kron(np.eye(n), line), np.eye(n * n)
+    k = np.kron(line, np.eye(n)) + np.kron(np.eye(n), line)
+    return np.asarray(k, dtype=float), np.eye(n * n)
 
 
 @pytest.mark.parametrize(("model", "n"), [(ring, 9), (three_axes, 5), (grillage, 5)])
