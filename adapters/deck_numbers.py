@@ -66,7 +66,8 @@ def refusals(
             for there in reached(parameter, parameters):
                 moved_numbers(parameter, numbers, there)
         except ModelError as error:
-            found.append(f"parameter {parameter.name}: {error}")
+            own = f"parameter {parameter.name}: "
+            found.append(own + str(error).removeprefix(own))
             continue
         for number in numbers:
             first = owners.setdefault(number.place, parameter.name)

@@ -27,6 +27,25 @@ OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: lambda a, b: a / b,
     ast.Pow: lambda a, b: math.pow(a, b),
 }
+#: First and second derivatives of the functions of one argument.
+SLOPES: dict[str, Callable[[float], tuple[float, float]]] = {
+    "sqrt": lambda x: (0.5 / math.sqrt(x), -0.25 / (x * math.sqrt(x))),
+    "exp": lambda x: (math.exp(x), math.exp(x)),
+    "log": lambda x: (1.0 / x, -1.0 / x**2),
+    "log10": lambda x: (1.0 / (x * math.log(10.0)), -1.0 / (x**2 * math.log(10.0))),
+    "sin": lambda x: (math.cos(x), -math.sin(x)),
+    "cos": lambda x: (-math.sin(x), -math.cos(x)),
+    "tan": lambda x: (1.0 + math.tan(x) ** 2, 2.0 * math.tan(x) * (1.0 + math.tan(x) ** 2)),
+    "asin": lambda x: ((1.0 - x * x) ** -0.5, x * (1.0 - x * x) ** -1.5),
+    "acos": lambda x: (-((1.0 - x * x) ** -0.5), -x * (1.0 - x * x) ** -1.5),
+    "atan": lambda x: (1.0 / (1.0 + x * x), -2.0 * x / (1.0 + x * x) ** 2),
+    "sinh": lambda x: (math.cosh(x), math.sinh(x)),
+    "cosh": lambda x: (math.sinh(x), math.cosh(x)),
+    "tanh": lambda x: (1.0 - math.tanh(x) ** 2, -2.0 * math.tanh(x) * (1.0 - math.tanh(x) ** 2)),
+    "abs": lambda x: (math.copysign(1.0, x), 0.0),
+}
+#: A value with its first and second derivatives.
+Jet = tuple[float, float, float]
 #: A number of more digits is no number of an engineer, and may be none of a computer's.
 MOST = 1e300
 #: Levels of brackets: more are a slip of a program that wrote them.
@@ -52,6 +71,22 @@ def evaluate(expression: str, values: Mapping[str, float]) -> float:
         why = "divides by zero" if found == math.inf else "has no finite value"
         raise ModelError(f"the expression {expression} {why} at {at or 'all values'}")
     return found
+
+
+def slopes(expression: str, values: Mapping[str, float], name: str) -> tuple[float, float]:
+    """Return the exact first and second derivatives with respect to a name.
+
+    Where min, max or abs has a kink they are those of one side. Raises ModelError where there are
+    none, as of a root of 0.
+    """
+    try:
+        _, first, second = _jet(read(expression), values, name)
+    except (ZeroDivisionError, ValueError, OverflowError):
+        first = second = math.nan
+    if not (math.isfinite(first) and math.isfinite(second)):
+        at = ", ".join(f"{item} = {values[item]:.6g}" for item in names_of(expression))
+        raise ModelError(f"the expression {expression} has no derivative in {name} at {at}")
+    return first, second
 
 
 def degree(expression: str) -> int:
@@ -119,6 +154,51 @@ def _value(node: ast.expr, values: Mapping[str, float]) -> float:
         case ast.Constant(value=int() | float() as value):
             return float(value)
     raise AssertionError(ast.dump(node))
+
+
+def _jet(node: ast.expr, values: Mapping[str, float], name: str) -> Jet:
+    given = [_jet(part, values, name) for part in parts(node)]
+    match node:
+        case ast.BinOp(op=op):
+            return _combined(op, *given)
+        case ast.UnaryOp(op=op):
+            sign = -1.0 if isinstance(op, ast.USub) else 1.0
+            value, first, second = given[0]
+            return sign * value, sign * first, sign * second
+        case ast.Call(func=ast.Name(id=function)) if function in OF_SEVERAL:
+            return (min if function == "min" else max)(given, key=lambda jet: jet[0])
+        case ast.Call(func=ast.Name(id=function)):
+            value, first, second = given[0]
+            slope, curvature = SLOPES[function](value) if first or second else (0.0, 0.0)
+            there = FUNCTIONS[function](value)
+            return there, slope * first, curvature * first**2 + slope * second
+    return _value(node, values), float(isinstance(node, ast.Name) and node.id == name), 0.0
+
+
+def _combined(op: ast.operator, left: Jet, right: Jet) -> Jet:
+    """Return a sum, product, quotient or power."""
+    (a, a1, a2), (b, b1, b2) = left, right
+    value = OPERATORS[type(op)](a, b)
+    match op:
+        case ast.Add():
+            return value, a1 + b1, a2 + b2
+        case ast.Sub():
+            return value, a1 - b1, a2 - b2
+        case ast.Mult():
+            return value, a1 * b + a * b1, a2 * b + 2.0 * a1 * b1 + a * b2
+        case ast.Div():
+            first = (a1 - value * b1) / b
+            return value, first, (a2 - 2.0 * first * b1 - value * b2) / b
+    if not (b1 or b2):  # a constant power, also of a negative number
+        slope, curvature = (
+            factor * math.pow(a, b - order) if factor else 0.0
+            for order, factor in ((1, b), (2, b * (b - 1.0)))
+        )
+        return value, slope * a1, curvature * a1**2 + slope * a2
+    log, ratio = math.log(a), a1 / a
+    rate = b1 * log + b * ratio
+    turn = b2 * log + 2.0 * b1 * ratio + b * (a2 / a - ratio**2)
+    return value, value * rate, value * (rate**2 + turn)
 
 
 def _degree(node: ast.expr) -> int:

@@ -44,10 +44,18 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.modes import COMPONENTS, Integers
 from modetune.core.near_names import suggestion
-from modetune.core.parameters import Parameter, Quantity, Values, assigned
+from modetune.core.parameters import (
+    Parameter,
+    ParameterSet,
+    Quantity,
+    Values,
+    assigned,
+    driven_by,
+)
 from modetune.core.storage.files import storage_errors, writing
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation, observe
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 
 SYSTEM_KEYS = {"masses", "springs", "dampers"}
 MATRIX_KEYS = {"stiffness", "mass", "dofs", "parts"}
@@ -84,15 +92,10 @@ class MatrixDeck(Deck):
             matrix_shapes=True,
             solid_shapes=True,  # every unknown is one of a node, under one name
             file=self.file.path,
-            matrices=model.matrices,
+            matrices=self.matrices,
         )
 
     def numbers(self, parameter: Parameter) -> list[Number]:
-        if parameter.expression:
-            raise ModelError(
-                "relations between parameters are unavailable for a model of matrices; update its "
-                "parts themselves"
-            )
         if parameter.quantity == "variable":
             return []
         parts = zip(parameter.targets, self.model.targets(parameter), strict=True)
@@ -110,10 +113,15 @@ class MatrixDeck(Deck):
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         parts = self.model.targets(parameter)
         own = parameter.proportional and all(part.mass is None for part in parts)
-        return parameter.targets if parts and own else ()
+        alone = not driven_by(parameter, self.parameters)
+        return parameter.targets if parts and own and alone else ()
 
     def is_linear(self, parameter: Parameter) -> bool:
-        return True
+        return True  # not always, but derivatives by its matrices are exact for all values
+
+    def matrices(self, parameters: tuple[Parameter, ...]) -> ParameterMatrices:
+        """Return K and M for all values of these parameters and what expressions give of them."""
+        return self.model.matrices(parameters, self._dependents(parameters))
 
     def observation(
         self, matrices: MatrixResult, nodes: Integers, components: Integers
@@ -121,18 +129,27 @@ class MatrixDeck(Deck):
         return observe(matrices, nodes, components)
 
     def undamped(self) -> str:
-        if self.model.damping(self.parameters).dampers:
+        if self.model.damping(()).dampers:
             return ""
         return f"{self.file.path}: the model has no `viscous` or `structural` damping"
 
     def damping(self, base: MatrixResult) -> DampingModel:
-        return self.model.damping(self.parameters)
+        free = tuple(item for item in self.parameters if not item.expression)
+        return self.model.damping(free, self._dependents(free))
 
     def edited(self, values: Values) -> EditedMatrices:
         return EditedMatrices(self.model, self._factors(values))
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         return write_updated(self, self._factors(values), folder)
+
+    def _dependents(self, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+        """Return the expressions that name no others than these parameters."""
+        return (
+            ParameterSet(parameters, tuple(item for item in self.parameters if item.expression))
+            .only(range(len(parameters)))
+            .dependents
+        )
 
     def _factors(self, values: Values) -> dict[str, float]:
         return {

@@ -4,7 +4,9 @@ With theta_j the relative value of part j, whose own stiffness and mass are K_j 
 
     K(theta) = K + sum_j (theta_j - 1) K_j,     M(theta) = M + sum_j (theta_j - 1) M_j
 
-(thesis (2.5), (2.6)), linear in every parameter. In a spring-mass system each spring is a part
+(thesis (2.5), (2.6)), linear in every parameter. The factor of a part may also be an expression of
+parameters, f_j(theta) in place of theta_j: of a tube's radius r the mass has r^2 and the bending
+stiffness r^4. In a spring-mass system each spring is a part
 with a K_j and each mass one with an M_j.
 """
 
@@ -25,6 +27,7 @@ from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter, Quantity
 from modetune.core.updating.damping_model import Damper, DampingKind, DampingModel, Linear
 from modetune.core.updating.parameter_matrices import ParameterMatrices, Powers, parameter_matrices
+from modetune.core.updating.relation import Relation
 
 #: What matrices a part may have, as models' files call them; modes know the first two.
 MATRIX_KINDS = ("stiffness", "mass", "viscous", "structural")
@@ -108,8 +111,10 @@ class MatrixModel:
         base = MatrixResult.of_full(self.stiffness, self.mass, self.nodes, self.components)
         return parameter_matrices(base, np.ones(len(self.parts)), stiffness, mass)
 
-    def matrices(self, parameters: tuple[Parameter, ...]) -> ParameterMatrices:
-        """Return K and M for all values of these parameters."""
+    def matrices(
+        self, parameters: tuple[Parameter, ...], dependents: tuple[Parameter, ...] = ()
+    ) -> ParameterMatrices:
+        """Return K and M for all values of these parameters; dependents: expressions of them."""
         names = list(self.parts)
         here, there = (
             {name: f for p in parameters for name, f in self.factors(p, value).items()}
@@ -122,19 +127,42 @@ class MatrixModel:
             for column, parameter in enumerate(parameters)
             for target in self.factors(parameter, 1.0)
         }
+        related = {
+            names.index(name): relation
+            for name, relation in self.relations(parameters, dependents).items()
+        }
         stiffness, mass = (
             tuple(
-                replace(part, column=columns[part.column], values=part.values * slopes[part.column])
+                replace(part, column=-1, relation=related[part.column])
+                if part.column in related
+                else replace(
+                    part, column=columns[part.column], values=part.values * slopes[part.column]
+                )
                 for part in parts
-                if part.column in columns
+                if part.column in columns or part.column in related
             )
             for parts in (self.by_parts.stiffness, self.by_parts.mass)
         )
         base = self.assembled(here) if moved else self.by_parts.base
         return ParameterMatrices(np.ones(len(parameters)), base, stiffness, mass)
 
-    def damping(self, parameters: tuple[Parameter, ...]) -> DampingModel:
+    def relations(
+        self, parameters: tuple[Parameter, ...], dependents: tuple[Parameter, ...]
+    ) -> dict[str, Relation]:
+        """Return the factors of the parts that expressions scale, by part."""
+        found = {}
+        for item in dependents:
+            ends = self.factors(item, 1.0)
+            for name, start in self.factors(item, 0.0).items():
+                slope = ends[name] - start
+                found[name] = Relation.of(item.expression, parameters, start, slope)
+        return found
+
+    def damping(
+        self, parameters: tuple[Parameter, ...], dependents: tuple[Parameter, ...] = ()
+    ) -> DampingModel:
         """Return the damping of the model for all values of these parameters."""
+        related = self.relations(parameters, dependents)
         here, there = (
             {name: (f, column) for column, p in enumerate(parameters)
              for name, f in self.factors(p, value).items()}
@@ -143,8 +171,9 @@ class MatrixModel:
         found = []
         for name, part in self.parts.items():
             (constant, column), (end, _) = here.get(name, (1.0, -1)), there.get(name, (1.0, -1))
+            number = related.get(name) or Linear(constant, end - constant, column)
             found += [
-                Damper(kind, matrix, (Linear(constant, end - constant, column),))
+                Damper(kind, matrix, (number,))
                 for kind in DAMPING_KINDS
                 if (matrix := getattr(part, kind)) is not None
             ]

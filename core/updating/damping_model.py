@@ -1,8 +1,8 @@
 """Damping matrices for all parameter values, and the system with stiffness and mass.
 
-Viscous C is a sum of dampers, each a matrix times a product of numbers that are linear in a
-parameter or constant. Structural H is such a sum, and of loss factors g times the stiffness of
-groups of elements, and of all:
+Viscous C is a sum of dampers, each a matrix times a product of numbers that are constant, linear in
+a parameter, or given by an expression of parameters. Structural H is such a sum, and of loss
+factors g times the stiffness of groups of elements, and of all:
 
     C(theta) = sum_j c_j(theta) C_j,    H(theta) = sum_j h_j(theta) H_j + sum_g g(theta) K_g(theta)
                                                   + G K(theta).
@@ -31,6 +31,7 @@ from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.matrices import symmetric
 from modetune.core.modes import Floats
 from modetune.core.updating.parameter_matrices import ParameterMatrices, powers_moved, powers_slopes
+from modetune.core.updating.relation import Relation
 
 DampingKind = Literal["viscous", "structural"]
 
@@ -46,8 +47,8 @@ class Linear:
     def at(self, theta: Floats) -> float:
         return self.constant + (self.slope * float(theta[self.column]) if self.slope else 0.0)
 
-    def change(self, column: int) -> float:
-        """Its derivative with respect to a column."""
+    def change(self, theta: Floats, column: int) -> float:
+        """Its derivative with respect to a column, the same for all theta."""
         return self.slope if column == self.column else 0.0
 
 
@@ -57,14 +58,15 @@ class Damper:
 
     kind: DampingKind
     matrix: sparse.csr_array
-    numbers: tuple[Linear, ...]
+    numbers: tuple[Linear | Relation, ...]
 
     def at(self, theta: Floats) -> float:
         return prod(number.at(theta) for number in self.numbers)
 
     def change(self, theta: Floats, column: int) -> float:
         return sum(
-            number.change(column) * prod(o.at(theta) for o in self.numbers if o is not number)
+            number.change(theta, column)
+            * prod(o.at(theta) for o in self.numbers if o is not number)
             for number in self.numbers
         )
 
@@ -159,7 +161,7 @@ class DampingModel:
         terms = [(d.kind, d.change(theta, column), d.matrix) for d in self.dampers]
         for loss in self.losses:
             assert groups is not None
-            slope, value = loss.factor.change(column), loss.factor.at(theta)
+            slope, value = loss.factor.change(theta, column), loss.factor.at(theta)
             if slope:
                 terms.append(("structural", slope, groups.of(loss, matrices, theta)))
             if value and column in (*loss.scaled, *loss.within):

@@ -93,7 +93,7 @@ def derivative_answers(
     theta: (n_parameters,); mass: (n, n), the upper triangle there. With a thickness those of
     rigid modes come too, as the faces' arms of a rotation change, and second derivatives.
     """
-    columns = sorted({part.column for part in (*affine.stiffness, *affine.mass)})
+    columns = affine.columns
     curved = [column for column in columns if not affine.is_linear(column)]
     of_curved = np.union1d(np.arange(modes.first), modes.used)
     wanted = [(column, of_curved if column in curved else modes.used) for column in columns]

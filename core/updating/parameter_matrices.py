@@ -17,6 +17,10 @@ shell with full integration, and as many samples in addition to the reference fi
 
 Samples at factors spread over 1/2 to 2 (0.55, 0.75, 1.4, 1.9) reproduce the text's 14 digits to
 10^-13 of sqrt(a_ii a_jj) everywhere between; within 20 % of the reference they lose two digits.
+A model of matrices may also have parts whose factor an expression of parameters gives (a tube's
+radius r: mass with r^2, bending with r^4). Such a part is whole at the reference and adds
+f(theta) - 1 of itself; its derivatives are those of the expression.
+
 Each part keeps its values by position in the reference's entries, so all theta have one pattern
 (one symbolic factorisation serves all), at 12 bytes an entry. Parts of disjoint element groups
 together are no larger than the reference.
@@ -48,6 +52,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +70,7 @@ from modetune.core.algebra.matrices import (
 from modetune.core.algebra.vector_room import put_in_file
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
+from modetune.core.updating.relation import Relation
 
 #: Beyond this condition a fit of powers has fewer than six of the text's fourteen digits left.
 HOPELESS_FIT = 1e8
@@ -88,18 +94,57 @@ def powers_slopes(powers: tuple[int, ...], value: float, order: int = 1) -> Floa
     return np.array([k * value ** (k - 1) for k in powers])
 
 
+class ParameterPart(Protocol):
+    """A part of a matrix: powers of one parameter, or one factor that a relation gives."""
+
+    @property
+    def column(self) -> int: ...
+
+    @property
+    def powers(self) -> tuple[int, ...]: ...
+
+    @property
+    def relation(self) -> Relation | None: ...
+
+
+def columns_of(part: ParameterPart) -> tuple[int, ...]:
+    """Return the parameters that a part depends on."""
+    return (part.column,) if part.relation is None else part.relation.columns
+
+
+def factors_moved(part: ParameterPart, theta: Floats, reference: Floats) -> Floats:
+    """Return what a part's matrices are multiplied by beyond the reference, (n_powers,).
+
+    theta, reference: (n_parameters,). Raises ModelError where an expression has no value.
+    """
+    if part.relation is not None:
+        return np.array([part.relation.at(theta) - 1.0])
+    here, there = float(theta[part.column]), float(reference[part.column])
+    return powers_moved(part.powers, here, there)
+
+
+def factors_slopes(part: ParameterPart, theta: Floats, column: int, order: int = 1) -> Floats:
+    """Return the derivatives of these factors with respect to a column, of order 1 or 2."""
+    if part.relation is not None:
+        return np.array([part.relation.change(theta, column, order)])
+    return powers_slopes(part.powers, float(theta[column]), order)
+
+
 @dataclass(frozen=True, slots=True)
 class Powers:
-    """What one parameter adds to a matrix: an upper triangle (n, n) for each power."""
+    """What one parameter, or a relation, adds to a matrix: an upper triangle (n, n) a power."""
 
     column: int
     powers: tuple[int, ...]
     uppers: tuple[sparse.csr_array, ...]
+    relation: Relation | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterMatrix:
     """What goes with the powers of one parameter, by position in the reference's entries.
+
+    relation: gives the only factor instead, which is 1 at the reference; column is then -1.
 
     places: (n_entries,), ascending, positions in `data` of the reference's upper triangle.
     values: (n_powers, n_entries).
@@ -109,6 +154,7 @@ class ParameterMatrix:
     powers: tuple[int, ...]
     places: Integers
     values: Floats
+    relation: Relation | None = None
 
     def upper(self, base: sparse.csr_array, factors: Floats) -> sparse.csr_array:
         """Its powers times factors (n_powers,), an upper triangle with its own entries alone.
@@ -194,7 +240,9 @@ class ParameterMatrices:
         ):
             wholes.append(small(projected(upper, vectors)))
             found = [(p, map(small, p.on(upper, vectors))) for p in of]
-            parts.append([Powers(p.column, p.powers, tuple(uppers)) for p, uppers in found])
+            parts.append(
+                [Powers(p.column, p.powers, tuple(uppers), p.relation) for p, uppers in found]
+            )
         few = MatrixResult(wholes[0], wholes[1], numbers, np.ones_like(numbers))
         return parameter_matrices(few, self.reference, *parts)
 
@@ -203,9 +251,8 @@ class ParameterMatrices:
     ) -> tuple[sparse.csr_array, sparse.csr_array]:
         """Upper triangles of dK/dtheta_c and dM/dtheta_c at these values, exact; order 2 gives
         the second derivatives."""
-        value = float(theta[column])
         stiffness, mass = (
-            _sum_of_parts(upper, parts, column, value, order)
+            _sum_of_parts(upper, parts, theta, column, order)
             for upper, parts in (
                 (self.base.upper_stiffness, self.stiffness),
                 (self.base.upper_mass, self.mass),
@@ -221,18 +268,26 @@ class ParameterMatrices:
         return upper_product(stiffness, block), upper_product(mass, block)
 
     def is_linear(self, column: int) -> bool:
-        """Whether both matrices are linear in a parameter."""
+        """Whether both matrices are linear in a parameter, as far as powers show it."""
         parts = (*self.stiffness, *self.mass)
-        return all(part.powers == (1,) for part in parts if part.column == column)
+        return all(
+            part.powers == (1,) and part.relation is None
+            for part in parts
+            if column in columns_of(part)
+        )
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """The parameters that the matrices depend on, ascending."""
+        found = {column for part in (*self.stiffness, *self.mass) for column in columns_of(part)}
+        return tuple(sorted(found))
 
     def _at(
         self, upper: sparse.csr_array, parts: tuple[ParameterMatrix, ...], theta: Floats
     ) -> sparse.csr_array:
         data = upper.data.copy()
         for part in parts:
-            factors = powers_moved(
-                part.powers, float(theta[part.column]), float(self.reference[part.column])
-            )
+            factors = factors_moved(part, theta, self.reference)
             for values, factor in zip(part.values, factors.tolist(), strict=True):
                 if factor != 0.0:
                     _add_scaled(data, part.places, values, factor)
@@ -287,15 +342,15 @@ def fit_powers(
 def _sum_of_parts(
     upper: sparse.csr_array,
     parts: tuple[ParameterMatrix, ...],
+    theta: Floats,
     column: int,
-    value: float,
     order: int,
 ) -> sparse.csr_array:
     """A derivative of a matrix with respect to a column, an upper triangle."""
     own = [
-        part.upper(upper, powers_slopes(part.powers, value, order))
+        part.upper(upper, factors_slopes(part, theta, column, order))
         for part in parts
-        if part.column == column
+        if column in columns_of(part)
     ]
     if not own:
         return sparse.csr_array(upper.shape)
@@ -333,7 +388,8 @@ def _part(upper: sparse.csr_array, part: Powers) -> ParameterMatrix:
     values = np.zeros((len(part.powers), pattern.nnz))
     for row, item in zip(values, part.uppers, strict=True):
         row[slice(None) if alike else places_in(pattern, item)] = item.data
-    return ParameterMatrix(part.column, part.powers, places_in(upper, pattern), values)
+    places = places_in(upper, pattern)
+    return ParameterMatrix(part.column, part.powers, places, values, part.relation)
 
 
 def differences(

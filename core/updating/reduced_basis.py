@@ -77,9 +77,11 @@ from modetune.core.updating.derivative_vectors import (
 from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     ParameterMatrix,
-    powers_moved,
-    powers_slopes,
+    columns_of,
+    factors_moved,
+    factors_slopes,
 )
+from modetune.core.updating.relation import Relation
 from modetune.core.updating.sensitivity import ModeDerivatives
 
 #: Eigenvalues of the flexibility below this share of the largest are of vectors without mass.
@@ -114,17 +116,19 @@ class ReducedPart:
     column: int
     powers: tuple[int, ...]
     values: Floats
+    relation: Relation | None = None
 
-    def moved(self, value: float, reference: float) -> Floats:
-        """What it adds at a parameter value beyond the reference, (r, r)."""
-        factors = powers_moved(self.powers, value, reference)
+    def moved(self, theta: Floats, reference: Floats) -> Floats:
+        """What it adds at parameter values beyond the reference, (r, r)."""
+        factors = factors_moved(self, theta, reference)
         return np.asarray(factors @ self.values.reshape(factors.size, -1)).reshape(
             self.values.shape[1:]
         )
 
-    def slope(self, value: float) -> Floats:
-        """Its derivative at a parameter value, (r, r)."""
-        return np.asarray(np.tensordot(powers_slopes(self.powers, value), self.values, axes=1))
+    def slope(self, theta: Floats, column: int) -> Floats:
+        """Its derivative with respect to a column at parameter values, (r, r)."""
+        factors = factors_slopes(self, theta, column)
+        return np.asarray(np.tensordot(factors, self.values, axes=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +164,7 @@ class ReducedModel:
         stiffness, mass = self.base_stiffness.copy(), self.base_mass.copy()
         for whole, parts in ((stiffness, self.stiffness), (mass, self.mass)):
             for part in parts:
-                whole += part.moved(theta[part.column], self.reference[part.column])
+                whole += part.moved(theta, self.reference)
         return stiffness, mass
 
     def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
@@ -202,10 +206,13 @@ class ReducedModel:
         apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
         dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         for column in range(self.reference.size):
-            value = float(theta[column])
             stiffness, mass = (
                 sum(
-                    (part.slope(value) @ phi for part in parts if part.column == column),
+                    (
+                        part.slope(theta, column) @ phi
+                        for part in parts
+                        if column in columns_of(part)
+                    ),
                     np.zeros_like(phi),
                 )
                 for parts in (self.stiffness, self.mass)
@@ -503,14 +510,14 @@ def _products(weight: Weight, known: Sequence[Floats], block: Floats) -> Floats:
 def _reduced_parts(
     upper: sparse.csr_array, parts: tuple[ParameterMatrix, ...], basis: Floats
 ) -> tuple[ReducedPart, ...]:
-    return tuple(ReducedPart(p.column, p.powers, p.on(upper, basis)) for p in parts)
+    return tuple(ReducedPart(p.column, p.powers, p.on(upper, basis), p.relation) for p in parts)
 
 
 def _moved(parts: tuple[ReducedPart, ...], theta: Floats, reference: Floats, size: int) -> Floats:
     """What parts add at these values beyond the reference, (r, r)."""
     found = np.zeros((size, size))
     for part in parts:
-        found += part.moved(float(theta[part.column]), float(reference[part.column]))
+        found += part.moved(theta, reference)
     return found
 
 

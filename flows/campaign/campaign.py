@@ -19,6 +19,7 @@ from modetune.adapters.yaml_file import YamlFile, read_yaml
 from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.pairing import PairRules
 from modetune.core.errors import CampaignError, ModelError
+from modetune.core.expressions import names_of
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
@@ -422,7 +423,10 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
         return None
     for position, parameter in enumerate(parameters):
         place = source.where(("parameters", position))
-        problems += [f"{place}: {text}" for text in solver.deck.problems((parameter,))]
+        named = [p for p in parameters if p.name in names_of(parameter.expression or "0")]
+        texts = solver.deck.problems((parameter, *named))
+        own = f"parameter {parameter.name}: "
+        problems += [f"{place}: {text}" for text in texts if not named or text.startswith(own)]
     if not problems:  # interactions of several parameters
         place = source.where(("parameters",))
         problems += [f"{place}: {text}" for text in solver.deck.problems(parameters)]

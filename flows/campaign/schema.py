@@ -22,6 +22,7 @@ import yaml
 from pydantic import (
     BeforeValidator,
     Field,
+    ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     field_validator,
@@ -476,13 +477,18 @@ class CampaignFile(Section):
     def _related(self) -> CampaignFile:
         free = {item.name for item in self.parameters if item.expression is None}
         variables = {item.name for item in self.parameters if item.quantity == "variable"}
-        for item in self.parameters:
+        for position, item in enumerate(self.parameters):
             names = names_of(item.expression) if item.expression else ()
             unknown = [name for name in names if name not in free]
             if unknown:
-                raise ValueError(
+                error = ValueError(
                     f"the expression of {item.name} names {', '.join(unknown)}; it may name the "
                     f"free parameters of the campaign: {', '.join(sorted(free)) or 'none'}"
+                )
+                place = ("parameters", position, "expression")
+                raise ValidationError.from_exception_data(
+                    "expression",
+                    [{"type": "value_error", "loc": place, "input": {}, "ctx": {"error": error}}],
                 )
             variables -= set(names)
         variables -= self._variables_of_responses()

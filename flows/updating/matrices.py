@@ -217,7 +217,16 @@ class MatrixSource:
             return content_key(canonical_json(self._asked(self._plan_everywhere)))
         model = Job(self.parameters.values(self.parameters.initial), MatrixAnalysis())
         targets = [list(item.targets) for item in self.parameters.parameters]
-        return content_key(canonical_json({"given": self.engine.key(model), "targets": targets}))
+        asked: dict[str, Json] = {"given": self.engine.key(model), "targets": targets}
+        scales = [[p.values, p.origin, p.scale] for p in self.parameters.parameters]
+        if any(scale != ["relative", 0.0, 1.0] for scale in scales):
+            asked["scales"] = scales
+        if self.parameters.dependents:
+            asked["names"] = list(self.parameters.names)
+            asked["relations"] = [
+                [p.expression, p.values, list(p.targets)] for p in self.parameters.dependents
+            ]
+        return content_key(canonical_json(asked))
 
     def _plan(self, theta: Floats, columns: Sequence[int]) -> MatrixPlan:
         if self.everywhere:

@@ -175,7 +175,8 @@ class Frf:
         for column in derivatives.columns:
             change = modes.change(*matrices.changes(column))
             slope = modes.slope(omega, outputs, forces, change)
-            damping = self._of_modes(state, modes, methodcaller("change", column), 0.0)
+            slopes = methodcaller("change", matrices.given.theta, column)
+            damping = self._of_modes(state, modes, slopes, 0.0)
             if damping.any():
                 slope += modes.slope_by_damping(omega, outputs, forces, damping)
             rows.append(self._parts(slope / computed))
