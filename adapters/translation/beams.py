@@ -271,6 +271,8 @@ NO_STIFFNESS = 1e-24
 BAR_TORSION = 0.01
 #: Where the two Gauss stations of a C3D8 are, in units of half its length.
 GAUSS = math.sqrt(1.0 / 3.0)
+#: Where masses of a half each have a coupled rod's axial matrix, in units of half its length.
+COUPLED = math.sqrt(2.0 / 3.0)
 #: Largest change of its width to an end: a beam whose mass ends in a point keeps a face there.
 SLOPE = 0.999
 
@@ -296,8 +298,10 @@ def translate_beams(model: Assembly) -> None:
             ],
             sets,
         )
-        for carrier in _carriers(beam, model.lumped):
-            _add_mass(model, beam, carrier, sets)
+        is_rod = element.type in RODS
+        for carrier in _carriers(beam, model.lumped or is_rod):
+            coupled = is_rod and not model.lumped
+            _add_mass(model, beam, _axially_coupled(carrier) if coupled else carrier, sets)
 
 
 def beam_of(element: Any, freedoms: Freedoms) -> Beam:
@@ -400,6 +404,19 @@ def _carriers(beam: Beam, lumped: bool) -> Iterator[Carrier]:
         near_shape, far_shape = (beam.station(place) @ beam.motion for place in gauss)
         shapes = near_shape, far_shape
         yield Carrier((start, stop), mean, slope, centres, shapes, stations, turning)
+
+
+def _axially_coupled(carrier: Carrier) -> Carrier:
+    """Return a lumped rod's carrier with the mass matrix of PARAM,COUPMASS.
+
+    Along the rod each end has 5/12 of the mass and 1/12 couples both, the mean of the consistent
+    matrix and the lumped one; across it the ends have a half each. MSC Nastran's eight frequencies
+    of a ten-bar truss follow from it to five digits.
+    """
+    near, far = (shape.copy() for shape in carrier.shapes)
+    own, other = 0.5 * (1.0 + COUPLED), 0.5 * (1.0 - COUPLED)
+    near[0], far[0] = own * near[0] + other * far[0], own * far[0] + other * near[0]
+    return replace(carrier, shapes=(near, far))
 
 
 def _add_mass(model: Assembly, beam: Beam, carrier: Carrier, sets: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ from modetune.adapters.calculix.deck import KeywordDeck
 from modetune.adapters.nastran.masses import PointMass
 from modetune.adapters.translation.assembly import Assembly, Freedoms
 from modetune.adapters.translation.beams import KINDS as BARS
-from modetune.adapters.translation.beams import beam_of
+from modetune.adapters.translation.beams import RODS, beam_of
 from modetune.adapters.translation.calculix_text import CalculixText
 from modetune.adapters.translation.concentrated_masses import POINT, SCALAR_MASS
 from modetune.adapters.translation.shells import Shell
@@ -230,7 +230,7 @@ def _bar(model: Assembly, element: Any) -> Iterator[Moments]:
             mass, centre, second = beam.section.mass(place)
             share = weight / 6.0 * length
             slack = float(np.trace(second)) * share
-            if not model.lumped:
+            if not model.lumped and element.type not in RODS:
                 body = of_point(mass * share, beam.place(place, centre))
                 yield replace(body, slack=slack)
                 continue

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.corpus import solve
 from benchmarks.references import reference
+from scipy.linalg import eigh
 
 from modetune.adapters.nastran.f06 import read_f06
 from modetune.adapters.nastran.solver import mystran_solver
@@ -177,6 +178,88 @@ def test_beams_have_the_frequencies_of_msc_nastran(
     assert not solver.other_masses
     frequencies = solve(solver, tmp_path).frequencies_hz
     np.testing.assert_allclose(frequencies[frequencies > 0.0][:4], wanted, rtol=1e-6)
+
+
+#: Trusses: points, those that are held, and rods between points.
+TRUSSES = {
+    "cantilever": (
+        [(0, 0, 0), (0, 1, 0), (0.9, 0, 0), (1.1, 1.2, 0), (2, 0.2, 0)],
+        (0, 1),
+        [(0, 2), (1, 2), (1, 3), (2, 3), (2, 4), (3, 4)],
+    ),
+    "tripod": ([(1, 0, 0), (-0.5, 0.8, 0), (-0.4, -0.9, 0.2), (0.1, 0, 1.3)], (0, 1, 2), None),
+    "mast": (
+        [(0, 0, 0), (1, 0, 0), (0.4, 0.9, 0), (0.1, 0.1, 1), (0.8, 0.1, 1), (0.4, 0.7, 1.1)],
+        (0, 1, 2),
+        None,
+    ),
+}
+
+
+def truss_frequencies(
+    points: Floats, held: tuple[int, ...], rods: list[tuple[int, int]], area: float
+) -> Floats:
+    """Frequencies in Hz, with 5/12 and 1/12 of each mass along a rod and halves across it."""
+    size = 3 * len(points)
+    k, m = np.zeros((size, size)), np.zeros((size, size))
+    for first, second in rods:
+        rod = points[second] - points[first]
+        length = np.linalg.norm(rod)
+        along = np.outer(rod, rod) / length**2
+        across, mass = np.eye(3) - along, 7850.0 * area * length
+        places = np.r_[3 * first : 3 * first + 3, 3 * second : 3 * second + 3]
+        own = np.ix_(places, places)
+        k[own] += 2.1e11 * area / length * np.kron([[1.0, -1.0], [-1.0, 1.0]], along)
+        m[own] += mass * np.kron([[5.0, 1.0], [1.0, 5.0]], along) / 12.0
+        m[own] += mass * np.kron(0.5 * np.eye(2), across)
+    fixed = [3 * point + axis for point in held for axis in range(3)]
+    flat = [3 * p + 2 for p in range(len(points))] if not points[:, 2].any() else []
+    free = np.setdiff1d(np.arange(size), fixed + flat)
+    values = eigh(k[np.ix_(free, free)], m[np.ix_(free, free)], eigvals_only=True)
+    return np.asarray(np.sqrt(values) / (2.0 * np.pi))
+
+
+@needs_ccx
+@pytest.mark.parametrize("name", TRUSSES)
+@pytest.mark.parametrize("kind", ["CROD", "CONROD", "CTUBE"])
+def test_coupled_masses_of_trusses_follow_the_rule_of_msc_nastran(
+    name: str, kind: str, tmp_path: Path
+) -> None:
+    points, held, rods = TRUSSES[name]
+    places = np.array(points, dtype=np.float64)
+    ends = rods or [
+        (a, b) for b in range(len(points)) for a in range(b) if not (a in held and b in held)
+    ]
+    flat = "" if places[:, 2].any() else "3"
+    outer, wall = 0.05, 0.004
+    area = np.pi * wall * (outer - wall)
+    lines = [STEEL, f"PROD,1,1,{area}", f"PTUBE,2,1,{outer},{wall}", "PARAM,COUPMASS,1"]
+    for place, (x, y, z) in enumerate(places.tolist()):
+        lines.append(
+            f"GRID,{place + 1},,{x},{y},{z},,{'123456' if place in held else flat + '456'}"
+        )
+    last = {"CROD": "", "CTUBE": "", "CONROD": f",{area}"}[kind]
+    number = {"CROD": ",1", "CTUBE": ",2", "CONROD": ""}[kind]
+    middle = {"CROD": "", "CTUBE": "", "CONROD": ",1"}[kind]
+    for place, (first, second) in enumerate(ends, start=1):
+        lines.append(f"{kind},{place}{number},{first + 1},{second + 1}{middle}{last}")
+    wanted = truss_frequencies(places, held, ends, area)
+    text = "\n".join(lines) + "\n"
+    found = solved(text, tmp_path, translated_solver, n_modes=wanted.size - 1)
+    np.testing.assert_allclose(found.modes.frequencies_hz, wanted[:-1], rtol=1e-5)
+
+
+@needs_ccx
+def test_a_truss_with_coupled_masses_has_the_frequencies_of_msc_nastran(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    folder = shared_data / "nastran" / "cofe" / "system_verification" / "001_ten_bar_truss"
+    deck = folder / "nastran_runs" / "modes.dat"
+    known = reference(deck)
+    assert known is not None
+    found = solve(translated_solver(deck, ()), tmp_path).frequencies_hz
+    # The print file has seven digits, the result file of CalculiX as many.
+    np.testing.assert_allclose(found, known.modes.frequencies_hz, rtol=1e-6)
 
 
 @needs_mystran
