@@ -9,10 +9,13 @@ does not allow that (a list in one line, anchors), the file is written again wit
 
 from __future__ import annotations
 
+import functools
 import os
 import textwrap
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -128,11 +131,9 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
     """The user's text with candidates left out commented away; None where it has no such form."""
     words: dict[Place, str] = {("name",): _scalar(wanted["name"])}
     for place in source.words:
-        value: object = wanted
         if place[0] == "parameters" or place == ("name",):
             continue
-        for key in place:
-            value = value[key]  # type: ignore[index]
+        value = functools.reduce(_item, place, wanted)
         if value != yaml.safe_load(source.word(place) or "null"):
             words[place] = _scalar(value)
     spans = _item_lines(source)
@@ -164,6 +165,13 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
     top = next((n for n, line in enumerate(lines) if not line.startswith("# yaml-language")), 0)
     lines[top:top] = [f"# {line}{ends}" for line in _heading(screening)]
     return "".join(lines)
+
+
+def _item(value: Any, key: str | int) -> Any:
+    """An item of a list or mapping; places name each key of a mapping by its text."""
+    if isinstance(value, Mapping):
+        return next(item for name, item in value.items() if str(name) == str(key))
+    return value[key]
 
 
 def _scalar(value: object) -> str:

@@ -74,6 +74,19 @@ def campaign_file(tmp_path: Path) -> Path:
     return tmp_path / "campaign.yaml"
 
 
+def test_keys_that_are_numbers_stay(campaign_file: Path, tmp_path: Path) -> None:
+    text = campaign_file.read_text().replace(
+        "modes: measured.csv", "modes: measured.csv, pairs: {2: 2}"
+    )
+    campaign_file.write_text(text.replace("shape_weight: 1.0", "shape_weight: {2: 1, others: 0.5}"))
+    out = tmp_path / "proposed.yaml"
+    write_proposal(campaign_file, screening(KS, ("k1", "k3")), out)
+    assert parameters_of(out) == ("k1", "k3")
+    assert "# left out: collinear" in out.read_text()
+    proposed, whole = (load_campaign(path).case for path in (out, campaign_file))
+    assert proposed.rules.by_hand == whole.rules.by_hand == {2: 2}
+
+
 def parameters_of(path: Path) -> tuple[str, ...]:
     return load_campaign(path).parameters.names
 
