@@ -12,6 +12,7 @@ import gc
 import json
 import logging
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -69,6 +70,10 @@ OLD_SPELLINGS = {
     "twin": "model twin",
     "worker": "server worker",
 }
+
+
+#: A word of a message that is a value of a file, not a word or a path, and how much of it is shown.
+LONG, SHOWN = re.compile(r"\S{1000,}"), 60
 
 
 def _print_version(wanted: bool) -> None:
@@ -211,6 +216,7 @@ def main() -> None:
 
 def _fail(reason: str, code: int) -> None:
     reason = reason.replace(f"{Path.cwd()}{os.sep}", "")  # paths as people type them
+    reason = LONG.sub(lambda word: f"{word[0][:SHOWN]}... ({len(word[0])} characters)", reason)
     _print_error(reason)
     if "--json" in sys.argv:
         typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))

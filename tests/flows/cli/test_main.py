@@ -67,6 +67,14 @@ def test_too_little_memory_is_told_in_a_sentence(
     assert "ulimit -v" in capsys.readouterr().err
 
 
+def test_a_long_value_is_shortened_in_messages(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text(f"name: {'k' * 20_000}\n")
+    done = run_command(tmp_path, "check", "long.yaml", "--json")
+    assert done.returncode == 2
+    assert "(20002 characters)" in json.loads(done.stdout)["reason"]
+    assert len(done.stderr) < 2000
+
+
 def test_a_named_command_comes_alone() -> None:
     named = typer.main.get_command(command_line("store", "explain"))
     assert list(named.commands["store"].commands) == ["explain"]  # type: ignore[attr-defined]
