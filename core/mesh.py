@@ -13,6 +13,7 @@ A node's strain is the root mean square of its elements', each of them counted o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Literal
@@ -62,7 +63,8 @@ class Mesh:
 
     nodes: (n_nodes,), numbers, ascending. coordinates: (n_nodes, 3), global axes, the deck's
     length. cells: the elements, a block a shape. frames: of nodes whose results are in axes of
-    their own, these axes as rows in the global ones (3, 3).
+    their own, these axes as rows in the global ones (3, 3). names: what the deck calls nodes whose
+    numbers are not its own.
     Raises ModelError where arrays do not fit together.
     """
 
@@ -70,6 +72,7 @@ class Mesh:
     coordinates: Floats
     cells: tuple[Cells, ...]
     frames: dict[int, Floats] = field(default_factory=dict)
+    names: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.coordinates.shape != (self.nodes.size, 3):

@@ -139,6 +139,11 @@ def parse_deck(file: Path, text: str) -> KeywordDeck:
     return KeywordDeck(file, OwnLines(texts, file), cards, ())
 
 
+def deck_of(file: Path, lines: Sequence[Line]) -> KeywordDeck:
+    """A deck of lines that come from elsewhere; `file` is what messages call it."""
+    return KeywordDeck(file, lines, tuple(_cards(lines)), ())
+
+
 def with_added(
     deck: KeywordDeck, changed: Mapping[int, str], added: Mapping[int, Iterable[str]]
 ) -> KeywordDeck:

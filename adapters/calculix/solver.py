@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
-from modetune.adapters.calculix.deck import read_deck
+from modetune.adapters.calculix.deck import KeywordDeck, read_deck
 from modetune.adapters.calculix.frd import with_frd
 from modetune.adapters.calculix.job import NODES, check_frequency_step, job_text, modes_at_most
 from modetune.adapters.calculix.model import CalculixModel, EditedCalculix, point_mass
@@ -215,7 +215,12 @@ def _place(
 
 def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
-    structure = split_model(understand(read_deck(deck)), parameters)
+    return solver_of(read_deck(deck), parameters)
+
+
+def solver_of(deck: KeywordDeck, parameters: tuple[Parameter, ...]) -> Solver:
+    """CalculiX for a deck that was read. Raises ModelError where it cannot be understood."""
+    structure = split_model(understand(deck), parameters)
     for note in check_frequency_step(structure):
         logger.warning("%s", note)
     program = calculix_program()

@@ -20,6 +20,7 @@ from modetune.core.measurement.registration import Alignment
 from modetune.core.measurement.sensor_map import SensorMap, mean_edge, next_nodes, result_directions
 from modetune.core.mesh import Mesh
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
+from modetune.core.near_names import suggestion
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.alignment import Laid, align_test, diagonal, unit_name
 from modetune.flows.campaign.schema import SensorSection
@@ -57,7 +58,8 @@ class SensorRow:
 
     model_node: None where left out. distance: from that node; misfit: from the surface of a model
     that the test was fitted to; both in the model's length, NaN where unknown. direction: unit
-    vector in the model's global axes, or in the node's where mapped by number.
+    vector in the model's global axes, or in the node's where mapped by number. node_name: what a
+    deck with instances calls the node.
     """
 
     test_node: int
@@ -68,6 +70,7 @@ class SensorRow:
     verdict: Verdict
     reason: str = ""
     misfit: float = float("nan")
+    node_name: str = ""
 
     @property
     def sensor(self) -> str:
@@ -174,6 +177,7 @@ def map_sensors(
             f"the test has {modes.n_dof:,} sensors, but at most {MOST:,} can be mapped; use a test "
             "file with fewer measured points or directions"
         )
+    settings = _numbered(settings, mesh)
     match = {point: node for point, node in settings.match.items() if isinstance(node, int)}
     lost = sorted(set(match.values()) - set(mesh.nodes.tolist()))
     if lost:
@@ -190,6 +194,19 @@ def map_sensors(
             "these out to map sensors by node number"
         )
     return mapper.by_number()
+
+
+def _numbered(settings: SensorSection, mesh: Mesh) -> SensorSection:
+    """Return the settings with node numbers for the names in `match`. Raises CampaignError."""
+    by_name = {name: number for number, name in mesh.names.items()}
+    match = dict(settings.match)
+    for point, node in settings.match.items():
+        if isinstance(node, str):
+            if node.upper() not in by_name:
+                near = suggestion(node.upper(), by_name)
+                raise CampaignError(f"`match` names model node {node}, which is not there{near}")
+            match[point] = by_name[node.upper()]
+    return settings.model_copy(update={"match": match})
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,6 +375,7 @@ class _Mapper:
                     (float(direction[0]), float(direction[1]), float(direction[2])),
                     verdict,
                     missing or "; ".join(mapped.doubts),
+                    node_name="" if missing else self.mesh.names.get(mapped.node, ""),
                 )
             )
         return tuple(rows)

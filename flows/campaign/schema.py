@@ -72,6 +72,7 @@ def _sensor_name(value: object) -> str:
 
 
 SensorName = Annotated[str, BeforeValidator(_sensor_name)]
+NodeName = Annotated[str, Field(min_length=1)]
 Triple = tuple[Finite, Finite, Finite]
 Delimiter = Annotated[str, Field(pattern=r"^[^\w\s.:=-]{1,8}$")]
 
@@ -198,8 +199,9 @@ class SensorSection(Section):
     a matrix of three rows."""
     translation: Triple | None = None
     """Position of the test's origin in the model, in the model's length unit."""
-    match: dict[Number, Number | Triple] = Field(default={})
-    """Landmarks set by hand: test node to model node, or to a position in the model's axes and
+    match: dict[Number, Number | NodeName | Triple] = Field(default={})
+    """Landmarks set by hand: test node to model node (of a deck with instances also by name,
+    `WING-1.12`), or to a position in the model's axes and
     length unit. Three or more that are not collinear fix the alignment; with `align: fit` fewer are
     enough to choose among fits."""
     tolerance: Annotated[Finite, Field(gt=0.0)] | None = None

@@ -52,9 +52,17 @@ def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]
         from modetune.adapters.translation.solver import translated_solver
 
         return translated_solver(deck, parameters)
-    from modetune.adapters.calculix.solver import calculix_solver
+    from modetune.adapters.abaqus.flattening import has_assembly
+    from modetune.adapters.calculix.deck import read_deck
 
-    return calculix_solver(deck, parameters)
+    read = read_deck(deck)
+    if has_assembly(read):
+        from modetune.adapters.abaqus.solver import assembly_solver
+
+        return assembly_solver(read, parameters)
+    from modetune.adapters.calculix.solver import solver_of
+
+    return solver_of(read, parameters)
 
 
 def _nastran(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:

@@ -56,9 +56,11 @@ def sensor_table(mapping: Mapping) -> Table:
     """Return the table of sensors with their nodes; omitted and doubtful ones are marked."""
     shown = shown_sensors(mapping)
     fitted = any(isfinite(row.misfit) for row in mapping.table)
+    named = any(row.node_name for row in mapping.table)
     columns = (
         Column("sensor", name="sensor"),
         Column("node", name="model_node"),
+        *((Column("node in the deck", words=True, name="node_name"),) if named else ()),
         Column("distance", mapping.unit, ".4g", name="distance"),
         *((Column("off the surface", mapping.unit, ".4g", name="misfit"),) if fitted else ()),
         Column("direction in the model", form="+.3f", name="direction"),

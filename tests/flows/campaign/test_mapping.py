@@ -537,7 +537,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
     assert told["sensors"][1] == {
         "test_node": 202, "component": "z", "model_node": None, "distance": 60.0,
         "direction": [0.0, 0.0, 1.0], "verdict": "left out",
-        "reason": "the nearest node, 3, is 60 mm away", "misfit": None,
+        "reason": "the nearest node, 3, is 60 mm away", "misfit": None, "node_name": "",
     }  # fmt: skip
     assert told["alignment"]["residual_rms"] is None
 

@@ -1,0 +1,1 @@
+"""Decks with parts and instances, as Abaqus/CAE writes them, for CalculiX."""
