@@ -8,6 +8,7 @@ include and where it looks for it is the adapter's to say.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,11 @@ DEEPEST, MOST_INCLUDES = 100, 2_000
 #: What a line of a deck takes in memory, bytes.
 LINE_BYTES = 250
 
+#: A carriage return with text of another line behind it.
+LONE_RETURN = re.compile(rb"\r(?![\r\n]|\Z)")
+#: More digits than the largest floating-point number has.
+DIGITS = 308
+LONG_NUMBER = re.compile(rb"\d{%d,}" % (DIGITS + 1))
 #: New texts of an include's lines: the lines, then the target's and the including file's places in
 #: the updated deck, relative to its main file's folder.
 Renamed = Callable[[Sequence[Line], Path, Path], list[str]]
@@ -68,7 +74,25 @@ def read_text(path: Path) -> str:
     if b"\0" in data:
         number = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
+    if found := LONE_RETURN.search(data):
+        number = data.count(b"\n", 0, found.start()) + 1
+        raise ModelError(
+            f"{path}, line {number}: a line ends with a carriage return (CR) alone, where solvers "
+            "end no line; convert the file to LF or CRLF line ends (`mac2unix`)"
+        )
+    if largest_line(data) > DIGITS:
+        for number, line in enumerate(data.split(b"\n"), 1):
+            if digits := LONG_NUMBER.search(line):
+                raise ModelError(
+                    f"{path}, line {number}: {len(digits.group())} digits in a row are no number "
+                    "that a solver reads"
+                )
     return data.decode("utf-8", "surrogateescape")
+
+
+def largest_line(data: bytes) -> int:
+    """The length of the longest line."""
+    return max(map(len, data.split(b"\n")))
 
 
 def check_include(

@@ -1,8 +1,9 @@
 """Kinds of input with their readers, and mutations of good files.
 
 A mutation flips bits, overwrites, cuts, repeats or swaps pieces of a good file, changes a number,
-or puts words in that readers stumble over. All is seeded. `test_mutations.py` does some of each
-kind, `benchmarks/mutations.py` many.
+or puts words in that readers stumble over; of a text it also repeats, reorders, merges and removes
+lines, grows numbers, and changes line ends and encoding. All is seeded. `test_mutations.py` does
+some of each kind, `benchmarks/mutations.py` many.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters import process
+from modetune.adapters.abaqus.solver import assembly_solver
+from modetune.adapters.calculix.deck import read_deck
 from modetune.adapters.calculix.frd import count_frd
 from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.results import read_messages, read_modal
@@ -54,6 +57,7 @@ from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.site import SITE_VARIABLE, site_run
 from tests.adapters import fake_nastran
+from tests.adapters.abaqus.decks import bracket
 from tests.adapters.calculix.test_model import DECK as CALCULIX_DECK
 from tests.adapters.calculix.test_results import ANALYSIS
 from tests.adapters.nastran.test_f06 import small
@@ -169,6 +173,42 @@ def mutated(good: bytes, random: np.random.Generator) -> bytes:
     return bytes(data)
 
 
+def restructured(good: bytes, random: np.random.Generator) -> bytes:
+    """A good text file with one or two things done to its lines, its numbers or its encoding."""
+    data = good
+    for _ in range(int(random.integers(1, 3))):
+        lines = data.split(b"\n")
+        one, other = (int(random.integers(0, len(lines))) for _ in range(2))
+        match int(random.integers(0, 9)):
+            case 0:
+                lines.insert(other, lines[one])
+            case 1:
+                lines[one], lines[other] = lines[other], lines[one]
+            case 2:
+                del lines[one]
+            case 3:
+                lines[one : one + 2] = [b"".join(lines[one : one + 2])]
+            case 4:
+                lines[one] += b"," + lines[other]
+            case 5:
+                lines[one:one] = lines[one : one + int(random.integers(1, 8))] * 3
+            case 6:
+                numbers = list(re.finditer(rb"\d+", lines[one]))
+                if numbers:
+                    place = numbers[int(random.integers(0, len(numbers)))]
+                    digits = b"7" * int(random.choice([9, 20, 400, 4_301]))
+                    lines[one] = lines[one][: place.start()] + digits + lines[one][place.end() :]
+            case 7:
+                end = (b"\r", b"\r\n", b"\n\n", b"\x0c\n")[int(random.integers(0, 4))]
+                lines = [end.join(lines)]
+            case _:
+                text = data.decode("latin-1")
+                coding = ("utf-16", "utf-8-sig", "utf-32-be", "cp037")[int(random.integers(0, 4))]
+                lines = [text.encode(coding, "replace")]
+        data = b"\n".join(lines)
+    return data
+
+
 class Hang(BaseException):
     """Raised into a reader that takes too long."""
 
@@ -198,12 +238,18 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def read_all(kind: Kind, path: Path, seed: int, numbers: Iterable[int]) -> Counter[str]:
+def read_all(
+    kind: Kind,
+    path: Path,
+    seed: int,
+    numbers: Iterable[int],
+    mutate: Callable[[bytes, np.random.Generator], bytes] = mutated,
+) -> Counter[str]:
     """Read mutations of a kind; how they ended. Anything but a sentence is raised, with the file
     kept beside."""
     ends: Counter[str] = Counter()
     for number in numbers:
-        data = mutated(kind.good, np.random.default_rng([seed, number]))
+        data = mutate(kind.good, np.random.default_rng([seed, number]))
         if data == kind.good:
             continue
         path.write_bytes(data)
@@ -249,6 +295,10 @@ CALCULIX = (
     parameter("k", "spring_stiffness", "elset", "GROUND"),
     parameter("m", "mass", "elset", "BALLAST"),
 )
+ASSEMBLY = (
+    parameter("E", "youngs_modulus", "material", "STEEL"),
+    parameter("m", "mass", "elset", "_PICKEDSET7_INERTIA-1_MASS_"),
+)
 NASTRAN = (
     parameter("E", "youngs_modulus", "material", "1"),
     parameter("rho", "density", "material", "1"),
@@ -257,6 +307,10 @@ NASTRAN = (
 
 def read_calculix(path: Path) -> None:
     use(calculix_solver(path, CALCULIX), CALCULIX, path.parent / "jobs")
+
+
+def read_assembly(path: Path) -> None:
+    use(assembly_solver(read_deck(path), ASSEMBLY), ASSEMBLY, path.parent / "jobs")
 
 
 def read_nastran(path: Path) -> None:
@@ -449,6 +503,7 @@ KINDS = {
     "spring-mass deck": Kind((SIX_MASS / "six_mass.yaml").read_bytes(), read_spring_mass),
     "test": Kind((SIX_MASS / "measured.csv").read_bytes(), read_modes_csv),
     "CalculiX deck": Kind(CALCULIX_DECK.encode(), read_calculix),
+    "assembly": Kind(bracket()[0].encode(), read_assembly, share=0.5),
     "Nastran deck": Kind(NASTRAN_DECK.encode(), read_nastran),
     "translated Nastran deck": Kind(PLATE_DECK.encode(), read_translated),
     "CalculiX modes": Kind(

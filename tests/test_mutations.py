@@ -25,13 +25,21 @@ from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.translation.solver import translated_solver
 from modetune.core.errors import CampaignError, ModelError, ModetuneError, NoResult
 from modetune.flows.campaign.campaign import load_campaign
-from tests.mutations import KINDS, NASTRAN, PLATE_DECK, bounded, read_all, read_stiffness
+from tests.mutations import (
+    KINDS,
+    NASTRAN,
+    PLATE_DECK,
+    bounded,
+    read_all,
+    read_stiffness,
+    restructured,
+)
 from tests.one_matrix import read_matrix
 
 MUTATIONS = 60
 #: Kinds whose reader is given the path.
 READ_BY_PATH = {
-    "campaign", "test", "CalculiX deck", "Nastran deck", "translated Nastran deck",
+    "campaign", "test", "CalculiX deck", "assembly", "Nastran deck", "translated Nastran deck",
     "CalculiX modes", "OP2", "F06", "Nastran sensitivities", "CalculiX shapes", "unknowns",
     "site file",
 }  # fmt: skip
@@ -53,6 +61,60 @@ def test_spoilt_input_is_read_or_refused_in_a_sentence(tmp_path: Path, name: str
     assert ends["no sentence"] == 0
     if not kind.believed:
         assert ends["read"] == 0
+
+
+#: Kinds of text with lines that mean something.
+TEXTS = (
+    "CalculiX deck", "assembly", "Nastran deck", "translated Nastran deck", "universal datasets",
+    "test", "points",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_texts_with_other_lines_are_read_or_refused_in_a_sentence(
+    tmp_path: Path, name: str
+) -> None:
+    count = MUTATIONS
+    ends = read_all(KINDS[name], tmp_path / "input", 2, range(count), restructured)
+    assert sum(ends.values()) > 0.8 * count
+    assert ends["no sentence"] == 0
+
+
+DIGITS = b"7" * 4_400
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("CalculiX deck", b"\n", b"\r", "line 1: a line ends with a carriage return (CR) alone"),
+        ("Nastran deck", b"\n", b"\r", "line 1: a line ends with a carriage return (CR) alone"),
+        ("universal datasets", b"\n", b"\r", "line 1: lines end with a carriage return (CR) alone"),
+        ("CalculiX deck", b"*NODE, NSET=NALL\n1", DIGITS, "line 1: 4400 digits in a row"),
+        (
+            "translated Nastran deck",
+            b"SPC = 1\n",
+            b"SPC = " + DIGITS + b"\n",
+            "line 4: 4400 digits",
+        ),
+        ("translated Nastran deck", b"GRID,1,", b"GRID," + DIGITS + b",", "line 8: 4400 digits"),
+        ("translated Nastran deck", b"70.E9", b"70.E999", "line 21: MAT1: 70.E999 is no finite"),
+    ],
+)
+def test_line_ends_and_numbers_that_nothing_reads_are_named_with_their_line(
+    name: str, old: bytes, new: bytes, said: str, tmp_path: Path
+) -> None:
+    good = KINDS[name].good
+    assert old in good
+    (tmp_path / "input").write_bytes(good.replace(old, new))
+    with pytest.raises(ModetuneError) as refused:
+        KINDS[name].read(tmp_path / "input")
+    assert said in str(refused.value)
+
+
+def test_a_repeated_keyword_line_changes_nothing(tmp_path: Path) -> None:
+    good = KINDS["CalculiX deck"].good
+    (tmp_path / "input").write_bytes(good.replace(b"*NODE", b"*NODE, NSET=NALL\n*NODE", 1))
+    KINDS["CalculiX deck"].read(tmp_path / "input")
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -184,7 +184,8 @@ def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
     first = max(structure.mesh.nodes, default=0) + 1
     element = max(structure.mesh.elements, default=0) + 1
     count = -(-wanted // 3)
-    place = ", ".join(structure.deck.fields(structure.deck.named("*NODE")[0].data[0])[1:4])
+    node = next(card.data[0] for card in structure.deck.named("*NODE") if card.data)
+    place = ", ".join(structure.deck.fields(node)[1:4])
     spare = range(first, first + count)
     lines = ["*NODE", *(f"{node}, {place}" for node in spare)]
     lines += ["*ELEMENT, TYPE=MASS, ELSET=MODETUNE_SPARE"]

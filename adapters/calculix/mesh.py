@@ -136,7 +136,10 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
     for card in deck.named("*ELSET"):
         sets.setdefault(_set_name(deck, card), set()).update(_set_members(deck, card, sets))
     if not nodes or not elements:
-        raise ModelError(f"{deck.file} has {len(nodes)} nodes and {len(elements)} elements")
+        what = "*NODE" if not nodes else "*ELEMENT"
+        where = next((deck.where(card) for card in deck.named(what)), f"{deck.file}, line 1")
+        text = f"the deck has {len(nodes)} nodes and {len(elements)} elements"
+        raise ModelError(f"{where}: {text}: {what} with data lines is expected")
     frozen = {name: frozenset(members) for name, members in sets.items()}
     return CalculixMesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
 

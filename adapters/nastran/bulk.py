@@ -54,6 +54,8 @@ OF_THE_RUN = frozenset(("PARAM", "EIGR", "EIGRL", "EIGB", "EIGC", "EIGP"))
 INTEGER = re.compile(r"[+-]?\d+")
 #: Nastran's integers have 32 bits.
 LARGEST = 2**31 - 1
+#: Digits before the point, and an exponent of three digits or more.
+HUGE = re.compile(r"[+-]?(\d*)\.?\d*(?:[EeDd]\+?|\+)0*([1-9]\d{2,})")
 #: Cards that fill blank fields of others, by the others' name.
 DEFAULTS = {"GRDSET": "GRID", "BAROR": "CBAR", "BEAMOR": "CBEAM"}
 #: Coordinate systems given by three points.
@@ -278,9 +280,11 @@ def _owners(deck: NastranDeck, bulk: Bulk) -> Owners:
 
 
 def _check_integers(deck: NastranDeck, card: NastranCard) -> None:
-    """Refuse an integer that Nastran does not read."""
+    """Refuse an integer that Nastran does not read, and a real number that no computer holds."""
     for field in card.fields:
         text = field.text if field else ""
+        if (huge := HUGE.fullmatch(text)) and len(huge[1]) + float(huge[2][:9]) > 300.0:
+            raise ModelError(f"{deck.where(card)}: {card.name}: {text[:30]} is no finite number")
         if len(text) < len(str(LARGEST)) or not INTEGER.fullmatch(text):
             continue
         if len(text) > 19 or abs(int(text)) > LARGEST:

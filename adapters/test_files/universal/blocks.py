@@ -85,6 +85,11 @@ def _blocks(path: Path, data: bytes) -> tuple[DatasetBlock, ...]:
         line += data.count(b"\n", position, end)
         position = end
     if not blocks:
+        if b"\r" in data and b"\n" not in data:
+            raise CampaignError(
+                f"test file {path}, line 1: lines end with a carriage return (CR) alone; convert "
+                "the file to LF or CRLF line ends (`mac2unix`)"
+            )
         raise CampaignError(
             f"test file {path} holds no dataset of a universal file: none starts with a line "
             "`    -1` and a line with its number"
