@@ -37,9 +37,10 @@ class CommandSettings:
     results: the file of a job's folder that holds the modes; reader: a function that reads them
     from the folder instead, `file.py:function` or `package.module:function`. nodes: file of the
     nodes that results have; components: 1..6, which of their motions. inputs: more files of the
-    deck, by their names in its folder. delimiters: around placeholders. most_modes: the largest
-    number of modes that the deck gives. success, fatal: regular expressions for lines of `logs`
-    (patterns of file names). metres: of the deck's unit of length, NaN where unknown.
+    deck, by their names in its folder. depends: files and folders that the program reads besides;
+    environment: variables that change its results. delimiters: around placeholders. most_modes: the
+    largest number of modes that the deck gives. success, fatal: regular expressions for lines of
+    `logs` (patterns of file names). metres: of the deck's unit of length, NaN where unknown.
     """
 
     name: str
@@ -51,6 +52,8 @@ class CommandSettings:
     components: tuple[int, ...] = (1, 2, 3)
     normalisation: Normalisation = "mass"
     inputs: tuple[str, ...] = ()
+    depends: tuple[str, ...] = ()
+    environment: tuple[str, ...] = ()
     delimiters: tuple[str, str] = ("{", "}")
     edits: tuple[NumberRule, ...] = ()
     most_modes: int = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import sys
 import tempfile
@@ -18,7 +19,7 @@ from modetune.adapters.command.deck import EditedTemplate, read_deck
 from modetune.adapters.command.reader import UserReader, load_reader
 from modetune.adapters.command.settings import ARGUMENTS, CommandSettings
 from modetune.adapters.process import log_tail, read_log, run_process
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.regular_file import read_errors, read_regular
 from modetune.adapters.solver import (
     FOLDER,
     Analysis,
@@ -56,6 +57,7 @@ class CommandProgram:
     settings: CommandSettings
     deck_name: str
     reader: UserReader | None
+    folder: Path
 
     #: Raised by hand when the same output is read to other numbers.
     reader_version = 1
@@ -101,8 +103,34 @@ class CommandProgram:
             "results": [settings.results, settings.normalisation, *settings.components],
             "n_modes": asked.n_modes,
             "nodes": list(asked.nodes),
+            **self._surroundings,
         }
         return Rendered.of_texts(content, files)
+
+    @cached_property
+    def _surroundings(self) -> dict[str, Json]:
+        """What else decides the results: digests of files and of environment variables.
+
+        Nothing where there are none, so that keys are as before. Raises ModelError.
+        """
+        found: dict[str, Json] = {}
+        given = [word.rpartition("=")[2] for word in self.settings.run if "{" not in word]
+        named = [word for word in given if (self.folder / word).is_file()]
+        files = {
+            name: digest_of(self.folder / name)
+            for name in dict.fromkeys((*named, *self.settings.depends))
+            if name not in (self.deck_name, *self.settings.inputs)
+        }
+        if files:
+            found["depends"] = files
+        if self.settings.environment:
+            found["environment"] = {
+                name: hashlib.sha256(os.environ[name].encode()).hexdigest()
+                if name in os.environ
+                else ""
+                for name in self.settings.environment
+            }
+        return found
 
     def command(self, threads: int) -> Command:
         arguments = self._arguments(self.settings.run, threads)
@@ -186,11 +214,29 @@ def command_solver(
             re.compile(text)
         except re.error as error:
             problems.append(f"{deck}: `{text}` under `model.command` is not a pattern: {error}")
+    problems += [
+        f"{deck}: `depends` under `model.command` names {name}, which is not there"
+        for name in settings.depends
+        if not (deck.parent / name).exists()
+    ]
     if problems:
         raise ModelError("\n".join(problems))
     reader = load_reader(settings.reader, deck.parent) if settings.reader else None
     model = read_deck(deck, settings, parameters)
-    return Solver(model, CommandProgram(settings, deck.name, reader))
+    return Solver(model, CommandProgram(settings, deck.name, reader, deck.parent))
+
+
+def digest_of(path: Path) -> str:
+    """Return a digest of a file, or of the files in a folder but byte code. Raises ModelError."""
+    inside = sorted(path.rglob("*")) if path.is_dir() else [path]
+    whole = hashlib.sha256()
+    for item in inside:
+        if item.is_dir() or "__pycache__" in item.parts:
+            continue
+        with read_errors(item, ModelError):
+            content = hashlib.sha256(read_regular(item)).digest()
+        whole.update(f"{item.relative_to(path.parent).as_posix()}\0".encode() + content)
+    return whole.hexdigest()
 
 
 REMEDY = "under `model.command`"

@@ -145,6 +145,12 @@ class CommandSection(Section):
     """Maximum number of modes that the deck gives, if modetune may request more."""
     inputs: tuple[str, ...] = ()
     """Further files that the deck needs; parameters may scale numbers in them too."""
+    depends: tuple[Word, ...] = ()
+    """Files and folders that the program reads from elsewhere, such as a script's modules. A change
+    of their content makes new results; files named in `run` count without this key."""
+    environment: tuple[Word, ...] = ()
+    """Names of environment variables that change the results. Their values enter the key of the
+    store as a digest."""
     delimiters: tuple[Delimiter, Delimiter] = ("{", "}")
     """Characters before and after a placeholder."""
     edits: tuple[EditSection, ...] = ()

@@ -142,6 +142,39 @@ def test_keys_hold_deck_command_versions_and_reader_and_nothing_else(tmp_path: P
 # The program
 
 
+def test_a_changed_script_module_or_variable_makes_another_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script, module = tmp_path / "solve.py", tmp_path / "rules" / "steel.py"
+    module.parent.mkdir()
+    script.write_text("import rules.steel\n")
+    module.write_text("E = 1\n")
+    monkeypatch.delenv("SHAFT_RULES", raising=False)
+
+    def key() -> str:
+        run = ("{python}", str(script), "{deck}")
+        solver = shaft(tmp_path, run=run, depends=("rules",), environment=("SHAFT_RULES",))
+        return canonical_json(solver.render({}, ModalAnalysis(2, (1,))).content)
+
+    keys = [key(), key()]
+    script.write_text("import rules.steel  # corrected\n")
+    keys.append(key())
+    module.write_text("E = 2\n")
+    keys.append(key())
+    monkeypatch.setenv("SHAFT_RULES", "DNV")
+    keys.append(key())
+    (module.parent / "__pycache__").mkdir()
+    (module.parent / "__pycache__" / "steel.pyc").write_bytes(b"1")
+    keys.append(key())
+    assert [keys.index(each) for each in keys] == [0, 0, 2, 3, 4, 4]
+    assert "DNV" not in keys[-1]
+
+
+def test_a_file_of_depends_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"`depends` under `model\.command` names lost\.py"):
+        shaft(tmp_path, depends=("lost.py",))
+
+
 def test_a_run_is_judged_by_its_words_and_code(tmp_path: Path) -> None:
     analysis = ModalAnalysis(4, (1,))
     refused = DECK.replace("shaft line", "refuse this")
