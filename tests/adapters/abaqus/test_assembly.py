@@ -310,3 +310,44 @@ def test_a_node_of_an_instance_is_a_landmark_by_its_name(tmp_path: Path) -> None
     wrong = SensorSection(by="number", match={7: "Box-1.66"})
     with pytest.raises(CampaignError, match=r"Box-1\.66, which is not there"):
         map_sensors(shapes, None, mesh, wrong, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "joint",
+    [
+        "*Coupling, constraint name=C, ref node=Point, surface=Face\n*Kinematic\n",
+        "*Coupling, constraint name=C, ref node=Point, surface=Face\n*Distributing\n",
+        "*Kinematic Coupling, ref node=Point\nTop, 1, 3\n",
+        "*Rigid Body, ref node=Point, pin nset=Top\n",
+        "*MPC\nBEAM, Top, Point\n",
+    ],
+)
+def test_rigid_motions_meet_the_equations_of_every_joint(joint: str, tmp_path: Path) -> None:
+    """A joint that resists no rigid motion of the whole is built with the right arms and signs."""
+    more = (
+        "*Node\n1, 3., -1., 2.\n*Nset, nset=Point\n1\n*Nset, nset=Top, instance=Box-1\n5, 6, 7, 8\n"
+        f"*Surface, type=ELEMENT, name=Face\nBox-1.All, S2\n{joint}"
+    )
+    found = flat(box("  1., 2., 3.\n  1., 0., 0., 2., 1., 3., 40.", more), tmp_path)
+    places = {
+        int(fields[0]): np.array(fields[1:4], dtype=float)
+        for card in found.deck.named("*NODE")
+        for fields in map(found.deck.fields, card.data)
+    }
+    point = next(number for number, name in found.labels.items() if name == "ASSEMBLY.1")
+    (turn,) = places.keys() - found.labels.keys()  # the node made for the rotation of the point
+    random = np.random.default_rng(3)
+    shift, angles = random.normal(size=3), random.normal(size=3)
+    moved = {node: shift + np.cross(angles, place) for node, place in places.items()}
+    moved[turn] = angles
+    cards = found.deck.named("*EQUATION")
+    named = set()
+    for card in cards:
+        words = [word for line in card.data[1:] for word in found.deck.fields(line)]
+        terms = [words[at : at + 3] for at in range(0, len(words), 3)]
+        assert len(terms) == int(found.deck.fields(card.data[0])[0])
+        named |= {int(node) for node, _, _ in terms}
+        rest = sum(float(factor) * moved[int(node)][int(c) - 1] for node, c, factor in terms)
+        assert rest == pytest.approx(0.0, abs=1e-9)  # factors have 12 digits
+    assert len(cards) in (6, 12)
+    assert {point, turn} <= named
