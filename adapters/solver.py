@@ -67,6 +67,23 @@ class SensitivityAnalysis:
 Analysis = ModalAnalysis | MatrixAnalysis | SensitivityAnalysis
 
 
+@dataclass(frozen=True, slots=True)
+class ModalCase:
+    """A subcase or step of a deck that has modes of its own.
+
+    key: of the campaign's `model` that chooses it; about: what distinguishes it, may be empty;
+    default: whether it counts without a choice.
+    """
+
+    key: Literal["subcase", "step"]
+    number: int
+    about: str
+    default: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.number} ({self.about})" if self.about else str(self.number)
+
+
 #: Masses at the nodes alone, or spread as the displacements are; empty where nothing says so.
 MassKind = Literal["", "lumped", "consistent", "consistent where elements have midside nodes"]
 

@@ -113,16 +113,19 @@ def init(
     *,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     force: bool = False,
     settings: Settings = (),
 ) -> Draft:
     """Draft a campaign file for a deck: test, sensors and candidate parameters, with reasons.
 
-    test: files of its test. out: file to write, by default `campaign.yaml` next to the deck. force:
-    overwrite an existing file. Raises CampaignError, ModelError.
+    test: files of its test. out: file to write, by default `campaign.yaml` next to the deck.
+    subcase, step: of a deck with several, which gives the modes. force: overwrite an existing file.
+    Raises CampaignError, ModelError.
     """
     place = None if out is None else Path(out)
-    changed = with_model(_texts(settings), solver, units)
+    changed = with_model(_texts(settings), solver, units, subcase, step)
     return init_campaign(Path(deck), _paths(test), changed, place, force)
 
 

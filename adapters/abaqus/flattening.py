@@ -30,6 +30,7 @@ from modetune.adapters.calculix.deck import (
     deck_of,
     format_number,
 )
+from modetune.adapters.calculix.steps import frequency_steps, modal_step, read_steps
 from modetune.core.errors import ModelError
 
 logger = logging.getLogger(__name__)
@@ -552,15 +553,17 @@ class Writer:
         )
 
     def _steps(self) -> None:
-        """The frequency step, and the static ones before it for load cases."""
+        """The step of the modes, and the static ones before it for load cases."""
         step: list[KeywordCard] = []
+        wanted = self.deck.step or bool(frequency_steps(self.deck))
+        modal = modal_step(self.deck, read_steps(self.deck)) if wanted else None
         for card in self.mesh.others:
             if not self._in_step(card):
                 continue
             step = [card] if card.is_one_of("*STEP") else [*step, card]
             if card.is_one_of("*END STEP"):
                 kinds = {item.keyword for item in step}
-                if "*FREQUENCY" in kinds:
+                if modal is not None and step[0].lines.start == modal.start:
                     self._frequency(step)
                     return
                 if "*STATIC" in kinds:

@@ -22,6 +22,7 @@ from modetune.adapters.calculix.model import CalculixModel
 from modetune.adapters.calculix.places import edited_lines
 from modetune.adapters.calculix.solver import calculix_program
 from modetune.adapters.calculix.splitting import split_model
+from modetune.adapters.calculix.steps import choice_note
 from modetune.adapters.calculix.structure import understand
 from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import Solver, Target
@@ -109,6 +110,6 @@ def assembly_solver(deck: KeywordDeck, parameters: tuple[Parameter, ...]) -> Sol
             f"a deck with instances gets no sections or materials of its own for parameters "
             f"({split[0]}): name the material, or all elements of the section"
         )
-    for note in (*flat.notes, *check_frequency_step(structure)):
+    for note in (*flat.notes, *choice_note(deck), *check_frequency_step(structure)):
         logger.warning("%s", note)
     return Solver(AssemblyModel(structure, parameters, flat), calculix_program())

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
+from modetune.adapters.calculix.steps import modal_step, read_steps
 from modetune.adapters.calculix.structure import NOT_FOLLOWED, CalculixStructure
 from modetune.core.errors import ModelError
 
@@ -88,15 +88,26 @@ def _whole(text: str) -> int:
     return int(text) if text.isdecimal() else 0
 
 
-def _held(structure: CalculixStructure, sets: dict[str, set[int]]) -> Iterable[Dof]:
-    for card in structure.deck.named("*BOUNDARY"):
+def _held(structure: CalculixStructure, sets: dict[str, set[int]]) -> set[Dof]:
+    """Return what *BOUNDARY constrains in the step of the modes, those of steps before included."""
+    deck, held, renewed = structure.deck, set[Dof](), set[int]()
+    steps = read_steps(deck)
+    modal = any(step.named("*FREQUENCY") for step in steps)
+    stop = modal_step(deck, steps).stop if modal else len(deck.lines)
+    for card in deck.named("*BOUNDARY"):
+        if card.lines.start >= stop:
+            break
+        number = next((s.number for s in steps if s.start < card.lines.start < s.stop), 0)
+        if card.option("OP") == "NEW" and number not in renewed:
+            renewed.add(number)
+            held.clear()
         for position in card.data:
             fields = [*structure.deck.fields(position), "", ""]
             first = _whole(fields[1])
             last = _whole(fields[2]) or first
             for node in set_members(fields[0], sets):
-                for component in range(first, min(last, 6) + 1):
-                    yield node, component
+                held |= {(node, c) for c in range(first, min(last, 6) + 1)}
+    return held
 
 
 def _equations(structure: CalculixStructure) -> dict[Dof, dict[Dof, float]] | None:

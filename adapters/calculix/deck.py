@@ -79,12 +79,16 @@ class OwnLines(Sequence[Line]):
 
 @dataclass(frozen=True, slots=True)
 class KeywordDeck:
-    """A deck with its includes in place: its lines, and the cards they form."""
+    """A deck with its includes in place: its lines, and the cards they form.
+
+    step: number of the *STEP whose modes count, 0 for the last with *FREQUENCY.
+    """
 
     file: Path
     lines: Sequence[Line]
     cards: tuple[KeywordCard, ...]
     includes: tuple[Include, ...]
+    step: int = 0
 
     def named(self, *keywords: str) -> list[KeywordCard]:
         """All cards of these keywords, in order."""
@@ -110,7 +114,7 @@ class KeywordDeck:
             raise ModelError(f"{where}: {text!r} is not a number") from None
 
 
-def read_deck(path: Path) -> KeywordDeck:
+def read_deck(path: Path, step: int = 0) -> KeywordDeck:
     """Read a deck and its includes. Raises ModelError naming file and line."""
     lines: list[Line] = []
     includes: list[Include] = []
@@ -122,7 +126,7 @@ def read_deck(path: Path) -> KeywordDeck:
         raise ModelError(
             f"{path}, line 1: the file holds no CalculiX keyword (a line that starts with one `*`)"
         )
-    return KeywordDeck(path, tuple(lines), cards, tuple(includes))
+    return KeywordDeck(path, tuple(lines), cards, tuple(includes), step)
 
 
 def parse_deck(file: Path, text: str) -> KeywordDeck:

@@ -1,8 +1,9 @@
 """The deck of one CalculiX job: the user's model, and one *FREQUENCY step with our requests.
 
 Everything up to the user's frequency step stays (preload steps included), without its requests
-for output. The frequency step keeps what belongs to the model, such as *BOUNDARY, before and after
-*FREQUENCY unchanged, and the options of *FREQUENCY; it gets our number of modes and our output.
+for output and without other steps that give modes (`steps.py`). The frequency step keeps what
+belongs to the model, such as *BOUNDARY, before and after *FREQUENCY unchanged, and the options of
+*FREQUENCY; it gets our number of modes and our output.
 A deck without steps gets a plain one. A small model gets spare unknowns before all else.
 
 ARPACK as ccx calls it takes five vectors for a mode, and refuses more vectors than unknowns: of a
@@ -20,6 +21,13 @@ from functools import lru_cache
 from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
 from modetune.adapters.calculix.deck import COMMENTS, KeywordCard
+from modetune.adapters.calculix.steps import (
+    choice_note,
+    frequency_steps,
+    lines_before,
+    modal_step,
+    read_steps,
+)
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.adapters.solver import Analysis, ModalAnalysis
@@ -68,9 +76,12 @@ def check_frequency_step(structure: CalculixStructure) -> list[str]:
 
     Raises ModelError for what would give other modes than the lowest ones, or none.
     """
-    notes = []
+    deck = structure.deck
+    notes = choice_note(deck)
     read_cyclic_symmetry(structure)
-    for card in structure.deck.named("*FREQUENCY")[:1]:
+    wanted = deck.step or frequency_steps(deck)
+    modal = modal_step(deck, read_steps(deck)) if wanted else None
+    for card in modal.named("*FREQUENCY")[:1] if modal is not None else ():
         where = structure.deck.where(card)
         for option, value in NO_MODES:
             if card.option(option) == value:
@@ -135,35 +146,27 @@ def _split(
     Raises ModelError.
     """
     deck = structure.deck
-    steps = deck.named("*STEP")
+    steps = read_steps(deck)
     if not steps:
         return list(range(len(deck.lines))), ["*STEP"], None, []
-    frequency = deck.named("*FREQUENCY")
-    if not frequency:
-        raise ModelError(
-            f"{deck.where(steps[0])}: the deck has a *STEP but none with *FREQUENCY; give it a "
-            "frequency step, or no step at all"
-        )
-    first = frequency[0].lines.start
-    above = [step.lines.start for step in steps if step.lines.start < first]
-    if not above:
-        where = deck.where(frequency[0])
-        raise ModelError(f"{where}: *FREQUENCY is outside a *STEP; move it into one")
-    start = above[-1]
-    ends = [card.lines.start for card in deck.named("*END STEP") if card.lines.start > first]
-    stop = ends[0] if ends else len(deck.lines)
-    before = [
-        position
-        for card in deck.cards
-        if card.lines.start < start and not card.is_one_of(*OUTPUT)
-        for position in card.lines
-    ]
-    inside = [card for card in deck.cards if start <= card.lines.start < stop]
-    kept = [card for card in inside if not card.is_one_of(*OUTPUT, "*FREQUENCY")]
-    places = [position for card in kept for position in card.lines]
+    for card in deck.named("*FREQUENCY")[:1]:
+        if card.lines.start < steps[0].start:
+            where = deck.where(card)
+            raise ModelError(f"{where}: *FREQUENCY is outside a *STEP; move it into one")
+    modal = modal_step(deck, steps)
+    frequency = modal.named("*FREQUENCY")[0]
+    first = frequency.lines.start
+    output = {p for card in deck.named(*OUTPUT) for p in card.lines}
+    before, moved = (
+        [position for position in found if position not in output]
+        for found in lines_before(deck, steps, modal)
+    )
+    kept = [card for card in modal.cards if not card.is_one_of(*OUTPUT, "*FREQUENCY")]
+    # The first card is *STEP; the lines that move into the step are above it in the deck.
+    places = [*kept[0].lines, *moved, *(p for card in kept[1:] for p in card.lines)]
     lines_above = [deck.lines[position].text for position in places if position < first]
     lines_below = [deck.lines[position].text for position in places if position > first]
-    return before, lines_above, frequency[0], lines_below
+    return before, lines_above, frequency, lines_below
 
 
 #: Unknowns that ccx wants for each mode.

@@ -213,9 +213,12 @@ def _place(
     return str(structure.deck.file)
 
 
-def calculix_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
-    """CalculiX for a deck file. Raises ModelError where the deck cannot be understood."""
-    return solver_of(read_deck(deck), parameters)
+def calculix_solver(deck: Path, parameters: tuple[Parameter, ...], step: int = 0) -> Solver:
+    """CalculiX for a deck file; step: of the modes, 0 for the last with *FREQUENCY.
+
+    Raises ModelError where the deck cannot be understood.
+    """
+    return solver_of(read_deck(deck, step), parameters)
 
 
 def solver_of(deck: KeywordDeck, parameters: tuple[Parameter, ...]) -> Solver:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from modetune.adapters.calculix.cards import SECTIONS
 from modetune.adapters.calculix.deck import KeywordCard, KeywordDeck, canonical_name
 from modetune.adapters.calculix.mesh import CalculixMesh, read_mesh, roles_of
+from modetune.adapters.calculix.steps import modal_step, read_steps
 from modetune.adapters.solver import ModelSummary
 
 #: Cards that tie nodes to others: their unknowns are not in the stored matrices.
@@ -74,12 +75,13 @@ class CalculixStructure:
         displacements (without the word ccx takes none of them), or contact. Moduli that depend on
         temperature do not: a parameter scales them all alike.
         """
-        frequency, contact = self.deck.named("*FREQUENCY"), self.deck.named("*CONTACT PAIR")
-        if frequency:
-            first = frequency[0].lines.start
-            steps = [step for step in self.deck.named("*STEP") if step.lines.start < first]
-            if len(steps) > 1 and "PERTURBATION" in steps[-1].options:
-                return f"{self.deck.where(steps[0])}: a step before that of the frequencies"
+        steps, contact = read_steps(self.deck), self.deck.named("*CONTACT PAIR")
+        if any(step.named("*FREQUENCY") for step in steps):
+            modal = modal_step(self.deck, steps)
+            before = [step for step in steps if step.number < modal.number and step.has_state]
+            if before and "PERTURBATION" in modal.cards[0].options:
+                where = self.deck.where(before[0].cards[0])
+                return f"{where}: a step before that of the frequencies"
         return f"{self.deck.where(contact[0])}: contact" if contact else ""
 
     @property

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from modetune.adapters.nastran.deck import NastranDeck
 from modetune.adapters.nastran.harmless import CHANGING, changing_parameter
+from modetune.adapters.solver import ModalCase
 from modetune.core.errors import ModelError
 
 #: Case control commands that select parts of the model, and that a job on another solver follows
@@ -174,13 +175,10 @@ def _brings_in(text: str) -> bool:
 def read_case_control(deck: NastranDeck) -> CaseControl:
     """Selections of the one subcase that counts, below those above all subcases.
 
-    Raises ModelError where several subcases select different things, or for preloads and
-    superelements.
+    Raises ModelError where several subcases select different things and the deck names none of
+    them, or for preloads and superelements.
     """
-    above, subcases = _split(deck)
-    kept, problems = list(above), list[str]()
-    if subcases:
-        kept += _one(subcases)
+    kept, problems = chosen_statements(deck), list[str]()
     for statement in kept:
         if statement.name in REFUSED and not _whole(deck, statement):
             problems.append(
@@ -256,9 +254,84 @@ def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
     return above, subcases
 
 
+def modal_subcases(deck: NastranDeck) -> tuple[ModalCase, ...]:
+    """Return the subcases among which a campaign may choose, in the deck's order.
+
+    They have a METHOD, their own or that above all; if none has, all are returned. Empty where they
+    give the same modes.
+    """
+    above, subcases = _split(deck)
+    plain = _plain(subcases)
+    modal = [own for own in plain if _has_method(above) or _has_method(own)] or plain
+    if len({_meaning(own) for own in modal}) < 2:
+        return ()
+    try:
+        default = _one(subcases)
+    except ModelError:
+        default = []
+    return tuple(replace(_modal_case(own), default=own is default) for own in modal)
+
+
+def choice_note(deck: NastranDeck) -> str:
+    """Return which of several subcases counts without a choice; empty where one is named."""
+    cases = () if deck.subcase else modal_subcases(deck)
+    others = "; ".join(str(item) for item in cases if not item.default)
+    return "".join(
+        f"{deck.file}: the modes are those of subcase {item}; `model.subcase` (`--subcase` with a "
+        f"deck) chooses another: {others}"
+        for item in cases
+        if item.default
+    )
+
+
+def _has_method(statements: list[Statement]) -> bool:
+    return any(item.name == "METHOD" for item in statements)
+
+
+def chosen_statements(deck: NastranDeck) -> list[Statement]:
+    """Return what is above all subcases and what the one that counts has. Raises ModelError."""
+    above, subcases = _split(deck)
+    if deck.subcase:
+        return [*above, *_numbered(deck, subcases)]
+    return [*above, *(_one(subcases) if subcases else ())]
+
+
+def _numbered(deck: NastranDeck, subcases: list[list[Statement]]) -> list[Statement]:
+    """Return the subcase that the campaign names."""
+    plain = _plain(subcases)
+    for own in plain:
+        if _subcase_number(own) == deck.subcase:
+            return own
+    if not plain:
+        raise ModelError(
+            f"{deck.file}: the deck has no subcases, so `model.subcase: {deck.subcase}` names none"
+        )
+    others = "; ".join(str(_modal_case(own)) for own in plain)
+    raise ModelError(f"{deck.file}: the deck has no subcase {deck.subcase}; it has {others}")
+
+
+def _plain(subcases: list[list[Statement]]) -> list[list[Statement]]:
+    """Return the subcases that do not combine or repeat others."""
+    return [own for own in subcases if own[0].name not in COMBINED]
+
+
+def _modal_case(own: list[Statement]) -> ModalCase:
+    """Return a subcase by its number, with its label and its selections."""
+    texts = [item.value for item in own if item.name in ("LABEL", "SUBTITLE")][:1]
+    wanted = SELECTIONS | {"METHOD"}
+    texts += [" ".join(item.text.split()) for item in own if item.name in wanted]
+    return ModalCase("subcase", _subcase_number(own), ", ".join(texts))
+
+
+def _subcase_number(own: list[Statement]) -> int:
+    """Return the number of a subcase; one without a number is the first."""
+    found = re.search(r"\d+", own[0].value)
+    return int(found.group()) if found else 1
+
+
 def _one(subcases: list[list[Statement]]) -> list[Statement]:
     """The subcase with the one METHOD, or the one SPC, or any where all say the same."""
-    subcases = [subcase for subcase in subcases if subcase[0].name not in COMBINED] or subcases
+    subcases = _plain(subcases) or subcases
     chosen = subcases
     for names in ((), ("METHOD",), ("METHOD", "SPC")):
         named = [subcase for subcase in subcases if any(s.name in names for s in subcase)]
@@ -268,7 +341,8 @@ def _one(subcases: list[list[Statement]]) -> list[Statement]:
     places = ", ".join(subcase[0].where.rsplit(", ", 1)[-1] for subcase in chosen or subcases)
     raise ModelError(
         f"{subcases[0][0].where}: {len(chosen)} of {len(subcases)} subcases have a METHOD or SPC "
-        f"({places}), so the wanted modes are ambiguous; keep one"
+        f"({places}), so the wanted modes are ambiguous; `model.subcase` (`--subcase` with a deck) "
+        f"chooses one: {'; '.join(str(_modal_case(own)) for own in chosen or subcases)}"
     )
 
 

@@ -30,7 +30,8 @@ LONGEST_NAME = 20
 class NastranDeck:
     """A deck with its includes in place: its lines, and the cards of its bulk data.
 
-    executive, case_control, bulk: positions in lines; CEND belongs to executive.
+    executive, case_control, bulk: positions in lines; CEND belongs to executive. subcase: the
+    number of the subcase whose modes count, 0 where the case control leaves no choice.
     """
 
     file: Path
@@ -40,6 +41,7 @@ class NastranDeck:
     executive: range
     case_control: range
     bulk: range
+    subcase: int = 0
 
     def named(self, *names: str) -> list[NastranCard]:
         """All cards of these names, in order."""
@@ -59,7 +61,7 @@ class NastranDeck:
             raise ModelError(f"{self.lines[found.line].where}: {error}") from None
 
 
-def read_deck(path: Path) -> NastranDeck:
+def read_deck(path: Path, subcase: int = 0) -> NastranDeck:
     """Read a deck and its includes. Raises ModelError naming file and line."""
     lines: list[Line] = []
     includes: list[Include] = []
@@ -68,7 +70,9 @@ def read_deck(path: Path) -> NastranDeck:
     cards = read_cards(lines, bulk)
     if not cards:
         raise ModelError(f"{path}, line 1: the file holds no bulk data")
-    return NastranDeck(path, tuple(lines), tuple(includes), cards, executive, case_control, bulk)
+    return NastranDeck(
+        path, tuple(lines), tuple(includes), cards, executive, case_control, bulk, subcase
+    )
 
 
 def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:

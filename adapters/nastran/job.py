@@ -83,7 +83,8 @@ def job_text(
     if isinstance(analysis, SensitivityAnalysis):
         lines += design_cards(model, changed, values, analysis)
     given = {name for name, _ in case.parameters}
-    cards = _bulk(model, changed, dialect, given, n_modes)
+    tied = bool(case.selected("MPC"))
+    cards = _bulk(model, changed, dialect, given, n_modes, tied)
     return "\n".join([*lines, *cards, "ENDDATA"]) + "\n"
 
 
@@ -141,13 +142,23 @@ def _eigrl(model: NastranModel, method: int, n_modes: int, dialect: Dialect) -> 
 
 
 def _bulk(
-    model: NastranModel, changed: Mapping[int, str], dialect: Dialect, given: set[str], n_modes: int
+    model: NastranModel,
+    changed: Mapping[int, str],
+    dialect: Dialect,
+    given: set[str],
+    n_modes: int,
+    tied: bool,
 ) -> list[str]:
-    """The user's cards in their order, edited, without comments and parameters given already."""
+    """The user's cards in their order, edited, without comments and parameters given already.
+
+    tied: whether the case control selects an MPC set.
+    """
     own = OWN_PARAMETERS | given
+    # MYSTRAN (18.0) breaks off at MPC cards that none selects.
+    out = LEFT_OUT if tied or dialect.name != "mystran" else LEFT_OUT | {"MPC", "MPCADD"}
 
     def left_out(card: NastranCard) -> bool:
-        return card.name in LEFT_OUT or (card.name == "PARAM" and card.text(1) in own)
+        return card.name in out or (card.name == "PARAM" and card.text(1) in own)
 
     if dialect.name == "mystran":
         deck = with_lines(model.deck, changed) if changed else model.deck

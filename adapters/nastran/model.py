@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -13,7 +12,12 @@ from pathlib import Path
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number, moved_numbers
 from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, read_bulk, refuse
-from modetune.adapters.nastran.case_control import OWN_PARAMETERS, CaseControl, read_case_control
+from modetune.adapters.nastran.case_control import (
+    OWN_PARAMETERS,
+    CaseControl,
+    chosen_statements,
+    read_case_control,
+)
 from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import NastranDeck, with_lines, write_edited
 from modetune.adapters.nastran.fields import CardField, changed_texts, read_number
@@ -52,8 +56,6 @@ from modetune.core.updating.static_model import LoadCase
 
 logger = logging.getLogger(__name__)
 
-#: Case control may hold parameters too, in free field.
-WTMASS = re.compile(r"\s*PARAM\s*,\s*WTMASS\s*,\s*([^\s,$]+)", re.IGNORECASE)
 #: Cards that reduce a model: what is left of its matrices is linear in nothing.
 REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
 #: pyNastran's name of the modulus that characterises a material, by its card.
@@ -153,14 +155,12 @@ class NastranModel(Deck):
     @property
     def wtmass(self) -> float:
         """PARAM WTMASS, the factor on all mass; 1 where the deck has none. Raises ModelError."""
-        for position in self.deck.case_control:
-            line = self.deck.lines[position]
-            found = WTMASS.match(line.text)
-            if found:
+        for statement in reversed(chosen_statements(self.deck)):
+            if statement.parameter == "WTMASS":
                 try:
-                    return read_number(found.group(1))
+                    return read_number(statement.parameter_value)
                 except ValueError as error:
-                    raise ModelError(f"{line.where}: {error}") from None
+                    raise ModelError(f"{statement.where}: {error}") from None
         for card in self.deck.named("PARAM"):
             if card.text(1) == "WTMASS":
                 return self.structure.deck.number(card, 2) or 1.0

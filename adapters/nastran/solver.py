@@ -12,6 +12,7 @@ from pathlib import Path
 
 from modetune.adapters.cross_checks import without_spare
 from modetune.adapters.licence import licence_refusal
+from modetune.adapters.nastran.case_control import choice_note
 from modetune.adapters.nastran.deck import read_deck, with_lines
 from modetune.adapters.nastran.design import mode_derivatives, read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
@@ -196,22 +197,30 @@ def _squeezed(text: str) -> str:
 
 
 def nastran_solver(
-    deck: Path, parameters: tuple[Parameter, ...], dialect: DialectName = "msc"
+    deck: Path,
+    parameters: tuple[Parameter, ...],
+    dialect: DialectName = "msc",
+    subcase: int = 0,
 ) -> Solver:
     """MSC Nastran or Simcenter (NX) Nastran for a deck file.
 
-    Raises ModelError where the deck cannot be understood, or means no job that can be written.
+    subcase: whose modes are wanted, 0 where the deck leaves no choice. Raises ModelError where the
+    deck cannot be understood, or means no job that can be written.
     """
-    return _solver(deck, parameters, DIALECTS[dialect])
+    return _solver(deck, parameters, DIALECTS[dialect], subcase)
 
 
-def mystran_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
+def mystran_solver(deck: Path, parameters: tuple[Parameter, ...], subcase: int = 0) -> Solver:
     """MYSTRAN for a deck file. Raises ModelError, and for cards that it cannot take."""
-    return _solver(deck, parameters, DIALECTS["mystran"])
+    return _solver(deck, parameters, DIALECTS["mystran"], subcase)
 
 
-def _solver(deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect) -> Solver:
-    model = understand(read_deck(deck), parameters)
+def _solver(
+    deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect, subcase: int
+) -> Solver:
+    model = understand(read_deck(deck, subcase), parameters)
+    if note := choice_note(model.deck):
+        logger.warning("%s", note)
     if dialect.name == "mystran":
         model.check()
         has = replace(dialect.capabilities, masses=model.other_masses() or "lumped")

@@ -24,7 +24,7 @@ from modetune.adapters.calculix.structure import WITHOUT_ENERGY, understand
 from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.bulk import Bulk, edited_bulk, read_bulk
-from modetune.adapters.nastran.case_control import read_case_control
+from modetune.adapters.nastran.case_control import choice_note, read_case_control
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
@@ -251,9 +251,11 @@ class TranslatedDeck(NastranModel):
         return frozenset(int(name[1:]) for name in names if name.startswith("E"))
 
 
-def translated_solver(deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
+def translated_solver(deck: Path, parameters: tuple[Parameter, ...], subcase: int = 0) -> Solver:
     """Return CalculiX for a Nastran deck. Raises ModelError where it cannot be translated."""
-    model = nastran_model.understand(read_deck(deck), parameters)
+    model = nastran_model.understand(read_deck(deck, subcase), parameters)
+    if note := choice_note(model.deck):
+        logger.warning("%s", note)
     model.check()
     translated = TranslatedDeck(model.structure, model.objections, model.parameters)
     translated.edited({})  # so that what cannot be translated is refused here

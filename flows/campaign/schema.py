@@ -275,6 +275,12 @@ class ModelSection(Section):
     """The program of `solver: command`."""
     dialect: NastranDialect = "msc"
     """Nastran dialect: MSC or Simcenter (NX)."""
+    subcase: Annotated[int, Field(ge=1)] | None = None
+    """Number of the subcase of a Nastran deck whose modes the campaign takes, with its SPC, MPC,
+    METHOD and other selections. Required where several subcases have different modes."""
+    step: Annotated[int, Field(ge=1)] | None = None
+    """Number of the *STEP of a CalculiX deck whose *FREQUENCY gives the modes; default: the last
+    one with *FREQUENCY."""
     eigensolver: Eigensolver = "auto"
     """What computes the modes during updating: `solver`, the solver itself; `pardiso`, modetune,
     from the matrices that CalculiX or MYSTRAN assembles once, with a solver run at the end;
@@ -293,6 +299,10 @@ class ModelSection(Section):
     def _described(self) -> ModelSection:
         if (self.solver == "command") != (self.command is not None):
             raise ValueError("`solver: command` and the section `command` belong together")
+        if self.subcase is not None and self.solver not in ("calculix", "nastran", "mystran"):
+            raise ValueError("`subcase` is for Nastran decks")
+        if self.step is not None and self.solver != "calculix":
+            raise ValueError("`step` is for CalculiX decks on `solver: calculix`")
         return self
 
     @property

@@ -48,11 +48,12 @@ PLACE = Path("the command line")
 class DeckSketch:
     """A deck with the solver that runs it.
 
-    units: None where unknown. by_solver, by_units: how solver and units were found, empty where the
-    user gave them.
+    model: its settings. units: None where unknown. by_solver, by_units: how solver and units were
+    found, empty where the user gave them.
     """
 
     deck: Path
+    model: ModelSection
     name: str
     solver: Solver
     units: Units | None
@@ -150,9 +151,9 @@ def sketch_deck(deck: Path, settings: Sequence[str] = ()) -> DeckSketch:
         raise CampaignError(section_problems(error, source, ModelSection, "model")) from None
     solver, name, by_solver = _bound(section, deck)
     if any(item.startswith("model.units=") for item in own):
-        return DeckSketch(deck, name, solver, section.units, by_solver)
+        return DeckSketch(deck, section, name, solver, section.units, by_solver)
     units, by_units = guessed_units(solver)
-    return DeckSketch(deck, name, solver, units, by_solver, by_units)
+    return DeckSketch(deck, section, name, solver, units, by_solver, by_units)
 
 
 def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:

@@ -22,7 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from modetune.adapters.regular_file import open_regular, read_errors
-from modetune.adapters.solver import Program, Solver
+from modetune.adapters.solver import ModalCase, Program, Solver
 from modetune.core.errors import ModelError, SolverMissing
 from modetune.core.near_names import suggestion
 from modetune.core.parameters import Parameter
@@ -51,11 +51,15 @@ def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]
     if is_nastran(deck):
         from modetune.adapters.translation.solver import translated_solver
 
-        return translated_solver(deck, parameters)
+        if model.step is not None:
+            raise ModelError(f"{deck} is a Nastran deck: `model.subcase` chooses among its modes")
+        return translated_solver(deck, parameters, model.subcase or 0)
     from modetune.adapters.abaqus.flattening import has_assembly
     from modetune.adapters.calculix.deck import read_deck
 
-    read = read_deck(deck)
+    if model.subcase is not None:
+        raise ModelError(f"{deck} is a CalculiX deck: `model.step` chooses among its modes")
+    read = read_deck(deck, model.step or 0)
     if has_assembly(read):
         from modetune.adapters.abaqus.solver import assembly_solver
 
@@ -68,13 +72,13 @@ def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]
 def _nastran(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     from modetune.adapters.nastran.solver import nastran_solver
 
-    return nastran_solver(_nastran_deck(deck), parameters, model.dialect)
+    return nastran_solver(_nastran_deck(deck), parameters, model.dialect, model.subcase or 0)
 
 
 def _mystran(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     from modetune.adapters.nastran.solver import mystran_solver
 
-    return mystran_solver(_nastran_deck(deck), parameters)
+    return mystran_solver(_nastran_deck(deck), parameters, model.subcase or 0)
 
 
 def _matrices(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
@@ -88,6 +92,23 @@ def _command(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...])
 
     assert model.command is not None
     return command_solver(deck, parameters, model.command.settings(METRES[model.units]))
+
+
+def modal_cases(deck: Path) -> tuple[ModalCase, ...]:
+    """Return the subcases or steps of a deck among which a campaign may choose.
+
+    Empty where there is no choice. Raises ModelError.
+    """
+    if is_nastran(deck):
+        from modetune.adapters.nastran.case_control import modal_subcases
+        from modetune.adapters.nastran.deck import read_deck
+
+        return modal_subcases(read_deck(deck))
+    from modetune.adapters.calculix import deck as calculix
+    from modetune.adapters.calculix.steps import frequency_steps
+
+    found = frequency_steps(calculix.read_deck(deck))
+    return found if len(found) > 1 else ()
 
 
 def registered_solvers() -> dict[str, EntryPoint]:

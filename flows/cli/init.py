@@ -12,7 +12,13 @@ from modetune.core.storage.keys import Json
 from modetune.flows.cli.options import AsJson, show_progress, stoppable
 from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
-from modetune.flows.studies.study import SolverChoice, UnitsChoice, with_model
+from modetune.flows.studies.study import (
+    SolverChoice,
+    StepChoice,
+    SubcaseChoice,
+    UnitsChoice,
+    with_model,
+)
 
 if TYPE_CHECKING:
     from modetune.flows.studies.init.draft import Draft
@@ -29,6 +35,8 @@ def init(
     ] = None,
     solver: SolverChoice = None,
     units: UnitsChoice = None,
+    subcase: SubcaseChoice = None,
+    step: StepChoice = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -39,7 +47,8 @@ def init(
     ):
         from modetune.flows.studies.init.draft import init_campaign
 
-        draft = init_campaign(deck, test or [], with_model(None, solver, units), out, force)
+        settings = with_model(None, solver, units, subcase, step)
+        draft = init_campaign(deck, test or [], settings, out, force)
     print_result(summary(draft), _lines(draft), as_json)
 
 
@@ -55,6 +64,9 @@ def summary(draft: Draft) -> dict[str, Json]:
         units=sketch.units or "m-kg-s",
         units_known=sketch.units is not None,
         units_guessed=sketch.by_units,
+        subcase=sketch.model.subcase,
+        step=sketch.model.step,
+        cases=[json_object(item, "key number about") for item in draft.cases],
         parameters=[item.parameter.name for item in draft.free],
         candidates=[
             json_object(
@@ -80,6 +92,10 @@ def _lines(draft: Draft) -> list[str]:
     else:
         why = f"; guessed: {sketch.by_units}" if sketch.by_units else ""
         texts.append(f"units    {sketch.units}{why}")
+    for item in draft.cases:
+        if item.number == getattr(sketch.model, item.key):
+            others = listed([str(other) for other in draft.cases if other is not item])
+            texts.append(f"{item.key:8} {item}; others: {others}")
     if test is not None:
         modes, left = test.measurement.modes, len(test.mapping.left_out)
         assert modes is not None

@@ -97,6 +97,18 @@ UnitsChoice = Annotated[
         "from its materials, and reported.",
     ),
 ]
+SubcaseChoice = Annotated[
+    int | None,
+    Option("--subcase", min=1, help="Subcase of a Nastran deck that gives the modes."),
+]
+StepChoice = Annotated[
+    int | None,
+    Option(
+        "--step",
+        min=1,
+        help="Step of a CalculiX deck that gives the modes; default: the last with *FREQUENCY.",
+    ),
+]
 Settings = Annotated[
     list[str] | None,
     Option("--set", help="KEY.KEY=VALUE, overrides the campaign file; may be repeated."),
@@ -216,6 +228,8 @@ class DeckOptions(StudyOptions):
     at: At = None
     solver: SolverChoice = None
     units: UnitsChoice = None
+    subcase: SubcaseChoice = None
+    step: StepChoice = None
 
     def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
         from modetune.flows.campaign.sketch import open_model
@@ -223,7 +237,7 @@ class DeckOptions(StudyOptions):
         from modetune.flows.updating.mode_source import parse_values
 
         check_page(places(self)[0])
-        changed = with_model(self.settings, self.solver, self.units)
+        changed = with_model(self.settings, self.solver, self.units, self.subcase, self.step)
         campaign = campaign or open_model(self.model, changed, self.test_files)
         values = parse_values(campaign, self.at or [])
         return StudyContext(campaign.name, progress, campaign, values)
@@ -251,9 +265,20 @@ def places(options: StudyOptions) -> tuple[Path | None, Path | None]:
     return getattr(options, "page", None), getattr(options, "figures", None)
 
 
-def with_model(settings: list[str] | None, solver: str | None, units: str | None) -> list[str]:
-    """Settings with those of `--solver` and `--units`."""
-    named = {"model.solver": solver, "model.units": units}
+def with_model(
+    settings: list[str] | None,
+    solver: str | None,
+    units: str | None,
+    subcase: int | None = None,
+    step: int | None = None,
+) -> list[str]:
+    """Settings with those of `--solver`, `--units`, `--subcase` and `--step`."""
+    named = {
+        "model.solver": solver,
+        "model.units": units,
+        "model.subcase": subcase,
+        "model.step": step,
+    }
     return [*(settings or []), *(f"{key}={value}" for key, value in named.items() if value)]
 
 

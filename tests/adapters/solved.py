@@ -44,7 +44,12 @@ def solved(
     path.write_text(text if "BEGIN BULK" in text else HEAD + text)
     solver = binder(path, ())
     shown = nodes or tuple(sorted(solver.deck.summary.node_ids))[:1]
-    analysis, job = ModalAnalysis(n_modes, shown), folder / f"job{len(list(folder.iterdir()))}"
+    job = folder / f"job{len(list(folder.iterdir()))}"
+    return result_of(solver, ModalAnalysis(n_modes, shown), job)
+
+
+def result_of(solver: Solver, analysis: ModalAnalysis, job: Path) -> ModalResult:
+    """Modes of a bound deck; job: a new folder for its run."""
     job.mkdir()
     solver.render({}, analysis).write(job)
     finished = run_process(solver.program.command(1), job, 60.0, threading.Event())

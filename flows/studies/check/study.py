@@ -18,8 +18,10 @@ from modetune.flows.studies.study import (
     ModelPath,
     ModelState,
     SolverChoice,
+    StepChoice,
     StudyContext,
     StudyOptions,
+    SubcaseChoice,
     UnitsChoice,
     study,
     with_model,
@@ -56,6 +58,8 @@ class CheckOptions(StudyOptions):
     ] = None
     solver: SolverChoice = None
     units: UnitsChoice = None
+    subcase: SubcaseChoice = None
+    step: StepChoice = None
     no_run: Annotated[bool, typer.Option("--no-run", help="Check without a solver run.")] = False
     against: Annotated[
         Path | None,
@@ -81,7 +85,7 @@ class CheckOptions(StudyOptions):
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import open_model
 
-        changed = with_model(self.settings, self.solver, self.units)
+        changed = with_model(self.settings, self.solver, self.units, self.subcase, self.step)
         if campaign is None and self.against is not None:
             campaign = load_campaign(self.campaign_file, changed)
         campaign = campaign or open_model(self.campaign_file, changed, self.test or [])

@@ -18,6 +18,7 @@ from typing import get_args
 import numpy as np
 import yaml
 
+from modetune.adapters.solver import ModalCase
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
@@ -25,7 +26,14 @@ from modetune.core.storage.files import writing
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.campaign.mapping import Mapping
 from modetune.flows.campaign.schema import CampaignFile, OpenFile
-from modetune.flows.campaign.sketch import DeckSketch, campaign_name, sketch_deck, sketched_campaign
+from modetune.flows.campaign.sketch import (
+    DeckSketch,
+    campaign_name,
+    is_deck,
+    sketch_deck,
+    sketched_campaign,
+)
+from modetune.flows.campaign.solvers import modal_cases
 from modetune.flows.campaign.units import METRES, Units
 from modetune.flows.studies.identify.identification import (
     IdentificationSettings,
@@ -68,12 +76,13 @@ class TestDraft:
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A campaign that was drafted; path: of its file."""
+    """A campaign that was drafted; path: of its file; cases: subcases or steps to choose from."""
 
     path: Path
     sketch: DeckSketch
     test: TestDraft | None
     candidates: tuple[Candidate, ...]
+    cases: tuple[ModalCase, ...] = ()
 
     @property
     def free(self) -> tuple[Candidate, ...]:
@@ -101,6 +110,10 @@ def draft_campaign(
 
     Raises CampaignError, ModelError for why there can be none.
     """
+    cases = modal_cases(deck) if is_deck(deck) else ()
+    if cases and not any(item.startswith(f"model.{cases[0].key}=") for item in settings):
+        proposed = next((item for item in cases if item.default), cases[0])
+        settings = [*settings, f"model.{proposed.key}={proposed.number}"]
     sketch = sketch_deck(deck, settings)
     found = candidates(sketch.solver)
     if not found:
@@ -109,7 +122,7 @@ def draft_campaign(
             "spring or mass that its elements use"
         )
     test = _test(sketch, tests, path.parent, force) if tests else None
-    return Draft(path, sketch, test, tuple(found))
+    return Draft(path, sketch, test, tuple(found), cases)
 
 
 def keep(path: Path, force: bool) -> None:
@@ -188,6 +201,14 @@ def _model(draft: Draft) -> Iterator[str]:
         yield from _said(f"{sketch.name} {sketch.by_solver.partition(';')[0]}; others that may: "
                          "calculix (by translation), nastran, mystran", "  ")  # fmt: skip
     yield f"  solver: {sketch.name}"
+    for item in draft.cases:
+        if item.number == getattr(sketch.model, item.key):
+            others = ", ".join(str(other) for other in draft.cases if other is not item)
+            yield from _said(
+                f"PLEASE CHECK: {item.key} {item} of several; others: {others}. States of one "
+                "structure that were tested separately are `configurations`.", "  "
+            )  # fmt: skip
+            yield f"  {item.key}: {item.number}"
     others = ", ".join(unit for unit in get_args(Units) if unit != sketch.units)
     if sketch.units is None:
         yield from _said(
