@@ -181,7 +181,9 @@ def test_beams_have_the_frequencies_of_msc_nastran(
 
 
 #: Trusses: points, those that are held, and rods between points.
-TRUSSES = {
+TRUSSES: dict[
+    str, tuple[list[tuple[float, float, float]], tuple[int, ...], list[tuple[int, int]] | None]
+] = {
     "cantilever": (
         [(0, 0, 0), (0, 1, 0), (0.9, 0, 0), (1.1, 1.2, 0), (2, 0.2, 0)],
         (0, 1),
