@@ -18,6 +18,8 @@ from modetune.core.modes import Floats, Integers
 
 #: Rows of a projection that are multiplied at once, so that their product stays in the cache.
 ROWS_AT_ONCE = 16384
+#: Largest relative error of a stored entry: CalculiX writes 14 digits; other matrices are exacter.
+ENTRY_ROUNDING = 5e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,22 @@ def touched_product(upper: sparse.csr_array, block: Floats) -> tuple[Floats, Int
     own += inside.T @ rows
     own -= inside.diagonal()[:, None] * rows
     return own, kept
+
+
+def eigenvalue_rounding(here: MatrixResult, eigenvalues: Floats, shapes: Floats) -> Floats:
+    """Return how far rounding of the entries may move each eigenvalue, (n_modes,).
+
+    eigenvalues: (n_modes,). shapes: phi, (n, n_modes), of modal mass 1. With errors |dK| <= e |K|
+    and |dM| <= e |M| of the entries, d lambda = phi^T (dK - lambda dM) phi is at most
+    e |phi|^T (|K| + |lambda| |M|) |phi|. In a stiff structure on soft springs that is far more
+    than e lambda: energies of its elements cancel in rigid motion, and their rounding does not.
+    """
+    sizes = np.abs(shapes)
+    stiffness, mass = (
+        np.einsum("ij,ij->j", sizes, upper_product(sparse.csr_array(abs(upper)), sizes))
+        for upper in (here.upper_stiffness, here.upper_mass)
+    )
+    return np.asarray(ENTRY_ROUNDING * (stiffness + np.abs(eigenvalues) * mass))
 
 
 def projected(upper: sparse.csr_array, block: Floats) -> Floats:

@@ -26,7 +26,7 @@ from scipy import sparse
 
 from modetune.adapters.solver import ModalAnalysis, SensitivityAnalysis, Solver
 from modetune.core.algebra.eigen import solve_modes
-from modetune.core.algebra.matrices import MatrixResult, symmetric
+from modetune.core.algebra.matrices import MatrixResult, eigenvalue_rounding, symmetric
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.correlation.clusters import rotation_onto, with_neighbours
 from modetune.core.correlation.pairing import alone, pair_by_tracking
@@ -108,7 +108,7 @@ class SemiAnalytic:
         stiffness, mass = here.stiffness, here.mass
         eigenvalues, shapes = self._modes(point, stiffness, mass)
         eigenvalues, shapes = _as_compared(here, point, eigenvalues, shapes)
-        _refuse_others(point, eigenvalues)
+        _refuse_others(point, here, eigenvalues, shapes)
         modes = point.pairing.computed + point.modal.n_rigid
         self._check_pairs(point, columns, model, eigenvalues[modes], shapes[:, modes])
         changes = [_change(model, theta, column) for column in columns]
@@ -172,17 +172,24 @@ class SemiAnalytic:
                 )
 
 
-def _refuse_others(point: Point, eigenvalues: Floats) -> None:
-    """Raise UnlikeMatrices if eigenvalues (n_modes,) of the matrices are not the point's."""
-    elastic, paired, n_rigid = point.modal.elastic, point.pairing.computed, point.modal.n_rigid
-    apart = np.abs(eigenvalues[paired + n_rigid] / elastic.eigenvalues[paired] - 1.0)
+def _refuse_others(point: Point, here: MatrixResult, eigenvalues: Floats, shapes: Floats) -> None:
+    """Raise UnlikeMatrices if modes of the matrices are not the point's.
+
+    eigenvalues: (n_modes,). shapes: (n, n_modes). Rounding of stored entries is permitted.
+    """
+    elastic, n_rigid = point.modal.elastic, point.modal.n_rigid
+    own = elastic.eigenvalues[point.pairing.computed]
+    modes = point.pairing.computed + n_rigid
+    differences = np.abs(eigenvalues[modes] - own)
     # Eigenvalues of rigid modes should be zero: theirs show the effect of rounding in the text.
     rounding = np.abs(eigenvalues[:n_rigid]).max(initial=0.0)
-    if (apart > EIGENVALUE_TOLERANCE + rounding / elastic.eigenvalues[paired]).any():
+    rounding = rounding + eigenvalue_rounding(here, eigenvalues[modes], shapes[:, modes])
+    unlike = differences > EIGENVALUE_TOLERANCE * own + rounding
+    if unlike.any():
         raise UnlikeMatrices(
             f"the stored matrices have other eigenvalues than the modal run (they differ by "
-            f"{apart.max():.2g}): the model has parts that matrices do not hold; use "
-            "finite_difference"
+            f"{(differences / own)[unlike].max():.2g}): the model has parts that matrices do not "
+            "hold; use finite_difference"
         )
 
 
