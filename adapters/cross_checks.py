@@ -61,11 +61,6 @@ def mark_of(text: bytes) -> str:
     return f"_JOB{hashlib.sha256(text).hexdigest()[:16].upper()}"
 
 
-def without_mark(text: bytes) -> bytes:
-    """Return a job's text as it was before it was marked."""
-    return re.sub(MARK.pattern.encode(), b"", text)
-
-
 def check_mark(asked: str, found: str) -> None:
     """Raise ValueError where a result repeats the mark of another job.
 

@@ -33,7 +33,7 @@ from modetune.core.storage.sealed_file import BLOCK, _block, read_head
 from modetune.core.storage.store import TITLE, Entry, Store
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.jobs.job import JobNote
-from modetune.flows.jobs.job_difference import JobDescription, job_of_holding
+from modetune.flows.jobs.job_description import JobDescription, job_of_holding
 from modetune.flows.jobs.store_index import EntryFilter, StoreIndex, query_index
 
 PARAMETERS, DECKS = 12, ("wing_a", "wing_b", "wing_c", "wing_d")
@@ -94,7 +94,7 @@ def ask(what: str, store: Store, question: Callable[[StoreIndex], object]) -> No
 
 
 def read_all(store: Store, job: JobDescription) -> None:
-    """The nearest result by every entry's head, as without an index."""
+    """Read every entry's head, as without an index."""
     for path in store.entries():
         with path.open("rb") as file:
             json.loads(read_head(file, TITLE))
@@ -109,14 +109,11 @@ def questions(store: Store, count: int) -> None:
     with timed("every entry's head, read"):
         read_all(store, job)
     ask("forecast before a start, no index yet", store, lambda index: index.newest(NEWEST))
-    ask("nearest, no heads in the index yet", store, lambda index: index.nearest(job))
     ask("forecast before a start", store, lambda index: index.newest(NEWEST))
     for _ in range(3):
         fill(store, range(count, count + ITERATION))
         count += ITERATION
         ask("forecast after an iteration", store, lambda index: index.newest(NEWEST_LATER))
-    ask("nearest, for one job", store, lambda index: index.nearest(job))
-    ask("nearest, for 20 jobs", store, lambda index: [index.nearest(job) for _ in range(20)])
     ask("a list of all", store, lambda index: index.entries(EntryFilter()))
     with timed("a lookup, 1000 times"):
         for _ in range(1000):

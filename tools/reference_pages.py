@@ -83,7 +83,7 @@ modetune server status                       # show the Prefect server that comm
 modetune server stop                         # stop that server
 # The store of results
 modetune store list                # list the stored results of solver jobs
-modetune store explain KEY         # describe a job, and its difference from the nearest result
+modetune store explain KEY         # describe a job and its outcome
 modetune store size                # show what takes space
 modetune store check               # find damaged results
 modetune store prune --older 30d   # remove results by age and size

@@ -1,4 +1,4 @@
-"""`modetune store explain`: the inputs of a job, and why it ran or would run.
+"""`modetune store explain`: the inputs and the outcome of a job.
 
 Heavy packages are imported where they are needed.
 """
@@ -17,7 +17,7 @@ from modetune.flows.cli.output import print_result
 from modetune.flows.report.tables import json_object
 
 if TYPE_CHECKING:
-    from modetune.flows.jobs.job_difference import JobDescription, Nearest
+    from modetune.flows.jobs.job_description import JobDescription
     from modetune.flows.jobs.lookup import Explanation
 
 #: Number of digits of a key to print.
@@ -29,7 +29,7 @@ def explain(
     store: StorePlace = None,
     as_json: AsJson = False,
 ) -> None:
-    """Describe a job, its outcome, and its differences from the nearest result."""
+    """Describe a job and its outcome."""
     from modetune.flows.jobs.lookup import explain_job, key_start
 
     start = key_start(job)
@@ -47,15 +47,8 @@ def explain(
     print_result(_told(found), [f"{heading:9}{text}" for heading, text in _lines(found)], as_json)
 
 
-def nearest_line(found: Nearest | None) -> str:
-    """Return the nearest result and its differences, in a line."""
-    if found is None:
-        return "the store has no result to compare it with"
-    return f"nearest {found.key[:SHORT]}: {'; '.join(found.differences)}"
-
-
 def _lines(found: Explanation) -> list[tuple[str, str]]:
-    from modetune.flows.jobs.job_difference import describe
+    from modetune.flows.jobs.job_description import describe
 
     lines = [("job", found.key), ("state", found.state)]
     lines += describe(found.job) if found.job else [("what", "unknown: the job has no note")]
@@ -65,8 +58,6 @@ def _lines(found: Explanation) -> list[tuple[str, str]]:
         lines.append(("when", f"{datetime.fromtimestamp(found.written_s, UTC):%Y-%m-%d %H:%M} UTC"))
     if found.where is not None:
         lines.append(("where", str(found.where)))
-    if found.job is not None:
-        lines.append(("nearest", nearest_line(found.nearest).removeprefix("nearest ")))
     return lines + ([("log", found.log)] if found.log else [])
 
 
@@ -74,7 +65,7 @@ def _told(found: Explanation) -> dict[str, Json]:
     written = found.written_s and datetime.fromtimestamp(found.written_s, UTC).isoformat()
     return json_object(
         found,
-        "key where wall_s nearest log",
+        "key where wall_s log",
         status=found.state,
         written=written,
         job=job_json(found.job),

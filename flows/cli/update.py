@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from modetune.core.storage.keys import Json
-from modetune.flows.cli.explain import SHORT, job_json, nearest_line
+from modetune.flows.cli.explain import SHORT, job_json
 from modetune.flows.report.tables import json_object
 from modetune.flows.studies.catalogue import find_study
 
@@ -35,8 +35,6 @@ def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
         )
     for item in found.jobs:
         typer.echo(_planned_line(item))
-        if not item.stored:
-            typer.echo(f"      {nearest_line(item.nearest)}")
     if found.ended is not None:
         typer.echo(f"nothing would run; {found.ended.status}: {found.ended.reason}")
     elif not found.jobs:
@@ -64,7 +62,7 @@ def _dry_run_json(found: DryRun) -> dict[str, Json]:
         reason=found.ended.reason if found.ended else "",
         runs=len(found.runs),
         jobs=[
-            json_object(item, "key iteration name stored nearest", job=job_json(item.asked))
+            json_object(item, "key iteration name stored", job=job_json(item.asked))
             for item in found.jobs
         ],
     )

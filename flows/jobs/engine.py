@@ -41,8 +41,7 @@ from modetune.core.storage.files import storage_errors
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.job_results import Result, finite
-from modetune.flows.jobs.job import NOMINAL, NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
-from modetune.flows.jobs.job_difference import save_text
+from modetune.flows.jobs.job import NOTE_FILE, Job, JobNote, JobPlan, Plans, analysis_kind
 from modetune.flows.jobs.limits import CORES, JobMemory, Limit, Limits
 from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.progress import Derivation
@@ -207,11 +206,6 @@ class JobEngine:
     def note(self, job: Job) -> JobNote:
         """Return the description stored with a job's result. Raises ModelError, SolverMissing."""
         return self.plans.note(job, self.threads)
-
-    def save_text(self) -> None:
-        """Store the deck's text, so that later differences between decks can be shown."""
-        save_text(self.store, self.plans.model_digest(), self.plans.plan(NOMINAL).rendered)
-        self.plans.done(NOMINAL)
 
     def derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str = "") -> R:
         """Return a result computed in this process, from the store if it has it.

@@ -136,6 +136,7 @@ class Plans:
         """Return the digest of the nominal deck. Raises ModelError, SolverMissing."""
         if self._digest is None:
             self._digest = _digest(_model_part(self.plan(NOMINAL).rendered.content))
+            self.done(NOMINAL)
         return self._digest
 
     def note(self, job: Job, threads: int) -> JobNote:

@@ -1,11 +1,10 @@
-"""Look up jobs in a store: by the start of a key, the nearest to a job, and what jobs cost."""
+"""Look up jobs in a store by the start of a key, and what jobs cost."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Literal
@@ -15,15 +14,7 @@ from modetune.core.errors import CampaignError
 from modetune.core.storage.store import Store
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import NOTE_FILE, JobNote, read_note
-from modetune.flows.jobs.job_difference import (
-    JobDescription,
-    Nearest,
-    Texts,
-    differences_with_places,
-    job_of_holding,
-    job_of_note,
-    load_text,
-)
+from modetune.flows.jobs.job_description import JobDescription, job_of_holding, job_of_note
 from modetune.flows.jobs.store_index import query_index
 
 #: `damaged`: the result was set aside because its checksum was wrong.
@@ -38,7 +29,7 @@ class Explanation:
     """What a store has about a job.
 
     where is its file or folder and written_s its time since 1970; wall_s is the solver time; log is
-    the end of a failed run's log; nearest is None if no other result is stored.
+    the end of a failed run's log.
     """
 
     key: str
@@ -48,7 +39,6 @@ class Explanation:
     written_s: float | None
     wall_s: float | None
     log: str
-    nearest: Nearest | None
 
 
 def key_start(text: str) -> str:
@@ -93,7 +83,6 @@ def explain_job(store: Store, start: str) -> Explanation | None:
     if state == "stored" and holding is None:
         state = "damaged"
     job = job_of_holding(holding) if holding else _job_of_folder(key, path)
-    near = nearest(store, [job] if job else [], partial(load_text, store))
     return Explanation(
         key=key,
         state=state,
@@ -102,7 +91,6 @@ def explain_job(store: Store, start: str) -> Explanation | None:
         written_s=path.stat().st_mtime,
         wall_s=holding.wall_s if holding else None,
         log=log_tail(path) if state == "failed" and (path / LOG).is_file() else "",
-        nearest=near[0] if near else None,
     )
 
 
@@ -128,24 +116,6 @@ def _job_of_folder(key: str, folder: Path) -> JobDescription | None:
     except OSError:
         return None
     return job_of_note(key, note) if note else None
-
-
-def nearest(store: Store, jobs: Sequence[JobDescription], texts: Texts) -> list[Nearest | None]:
-    """Return for each job the nearest stored result of another job; None in an empty store."""
-    if not jobs:
-        return []
-    keys = query_index(store, lambda index: [index.nearest(job) for job in jobs])
-    return [_first_whole(store, job, near, texts) for job, near in zip(jobs, keys, strict=True)]
-
-
-def _first_whole(
-    store: Store, job: JobDescription, keys: Sequence[str], texts: Texts
-) -> Nearest | None:
-    for key in keys:
-        holding = store.holding(key)
-        if holding is not None:
-            return Nearest(key, differences_with_places(job, job_of_holding(holding), texts))
-    return None
 
 
 #: Costs are estimated from this number of the newest results.

@@ -7,8 +7,7 @@ again if its change time differs or is too recent to be reliable; the head of an
 first use. If the index is missing, has another layout, is damaged, locked or read-only, it is
 rebuilt, in memory if necessary, with the same answers.
 
-Entries that differ only in parameter values share one row of the table `asked` and have their
-values as numbers, so that 100,000 of them are compared with a job in a fraction of a second.
+Entries that differ only in parameter values share one row of the table `asked`.
 """
 
 from __future__ import annotations
@@ -30,18 +29,11 @@ from urllib.parse import quote
 import numpy as np
 
 from modetune.core.errors import StorageUnavailable
-from modetune.core.modes import Floats, Integers
 from modetune.core.storage.files import machine_user
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
 from modetune.flows.jobs.job import JobNote
-from modetune.flows.jobs.job_difference import (
-    IN_NOTES,
-    LONGEST,
-    JobDescription,
-    job_of_holding,
-    list_differences,
-)
+from modetune.flows.jobs.job_description import IN_NOTES, LONGEST, JobDescription, job_of_holding
 
 logger = logging.getLogger(__name__)
 A = TypeVar("A")
@@ -67,8 +59,6 @@ PATIENCE_S = 0.5
 DAMAGED = (sqlite3.Error, ValueError, TypeError, KeyError, OverflowError)
 #: SQLite's integers are signed, those of a file system may be unsigned.
 LARGEST = 2**63 - 1
-#: Number of nearest entries to return, in case some are gone.
-NEAREST = 5
 ENDING = f".{FORMAT}.h5"
 ENTRY = re.compile(rf"([0-9a-f]{{64}}){re.escape(ENDING)}")
 
@@ -143,7 +133,6 @@ class StoreIndex:
     def __init__(self, store: Store, database: sqlite3.Connection) -> None:
         self.store = store
         self._database = database
-        self._alike: dict[int, tuple[list[str], Integers, Floats]] = {}
         self._numbers: dict[str, int] = {}
 
     def prepare(self) -> None:
@@ -218,69 +207,6 @@ class StoreIndex:
             (_read_shared_part(shared) if shared else None, int(count), int(size), float(wall_s))
             for shared, count, size, wall_s in rows
         ]
-
-    def nearest(self, job: JobDescription) -> list[str]:
-        """Return the keys of the entries nearest to a job, the nearest first.
-
-        Entries of the same solver and kind of analysis come first, then those with the fewest
-        differences, then those with the closest values.
-        """
-        self._read_heads("TRUE", ())
-        ask = self._database.execute
-        kinds = ask(
-            "SELECT id, solver, kind, shared FROM asked WHERE EXISTS "
-            "(SELECT 1 FROM entries WHERE asked = id AND key <> ?)",
-            (job.key,),
-        ).fetchall()
-        classes = [(solver != job.solver, kind != job.kind) for _, solver, kind, _ in kinds]
-        alike = []
-        for place, (number, *_, shared) in enumerate(kinds):
-            if classes[place] == min(classes):
-                alike.append(
-                    (_differing(job, _read_shared_part(shared)), number, json.loads(shared))
-                )
-        best: list[tuple[int, float, int, str]] = []
-        for base, number, shared in sorted(alike, key=lambda item: item[:2]):
-            if len(best) == NEAREST and base > best[-1][0]:
-                break
-            names = shared["names"] if shared["note"] and job.note else None
-            best = sorted([*best, *self._closest(job, base, number, names)])[:NEAREST]
-        return [key for *_, key in best]
-
-    def _closest(
-        self, job: JobDescription, base: int, number: int, names: list[str] | None
-    ) -> list[tuple[int, float, int, str]]:
-        """Return differences, distance, age and key of the best entries of one `asked` row.
-
-        names are those of the values, None if they are unknown on either side.
-        """
-        keys, written, values = self._sharing(number)
-        count, distance = np.full(len(keys), base), np.full(len(keys), np.inf)
-        if job.note is not None and names is not None:
-            ours = dict(job.note.values)
-            wanted = np.array([ours.get(name, 1.0) for name in names])
-            absent = [value for name, value in ours.items() if name not in names]  # 1 there
-            values = values.reshape(len(keys), len(names))
-            count = count + (values != wanted).sum(axis=1) + sum(v != 1.0 for v in absent)
-            distance = np.abs(values - wanted).sum(axis=1) + sum(abs(v - 1.0) for v in absent)
-        # Even without a visible difference the jobs differ, because their keys do.
-        count = np.maximum(count, 1)
-        best = np.lexsort((-written, distance, count))[: NEAREST + 1]
-        return [
-            (int(count[row]), float(distance[row]), -int(written[row]), keys[row])
-            for row in best
-            if keys[row] != job.key
-        ]
-
-    def _sharing(self, asked: int) -> tuple[list[str], Integers, Floats]:
-        """Keys, times and values of the entries of one `asked` row."""
-        if asked not in self._alike:
-            query = "SELECT key, written_ns, numbers FROM entries WHERE asked = ?"
-            rows = self._database.execute(query, (asked,)).fetchall()
-            written = np.array([row[1] for row in rows], dtype=np.int64)
-            values = np.frombuffer(b"".join(row[2] for row in rows))
-            self._alike[asked] = [row[0] for row in rows], written, values
-        return self._alike[asked]
 
     def _list(self, folder: str) -> None:
         """Update the list of entries in a folder."""
@@ -388,14 +314,6 @@ def _with_values(note: JobNote | None, numbers: bytes) -> JobNote | None:
         return None
     names, values = (name for name, _ in note.values), np.frombuffer(numbers).tolist()
     return replace(note, values=tuple(zip(names, values, strict=True)))
-
-
-def _differing(job: JobDescription, other: JobDescription) -> int:
-    """Number of differences between two jobs other than parameter values."""
-    if job.note is not None and other.note is not None:
-        other = replace(other, note=replace(other.note, values=job.note.values))
-    asked = tuple((name, _short(value)) for name, value in job.asked)
-    return len(list_differences(replace(job, asked=asked), other))
 
 
 def _short(value: str) -> str:

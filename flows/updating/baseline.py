@@ -20,7 +20,7 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, mode_name
 from modetune.core.storage.campaign_record import RunCounts, read_record
 from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.jobs.campaign_engine import engine_of, job_engine
+from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.tables import Column
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import evaluator_of
@@ -122,8 +122,6 @@ def check_deck(campaign: Campaign, path: Path, state: State, band: Band) -> Base
     except LostMode as error:
         lost = f"a mode is lost: {error}"
         return BaselineCheck((), lost, (), evaluator.runs, baseline.verdict)
-    for case in campaign.cases:
-        engine_of(engine, campaign, case).save_text()
     now = _agreement(campaign, evaluation, baseline.verdict)
     found = _compared(now, baseline, band, evaluator.runs)
     return found if found.within else _hinted(found, path, state, band)

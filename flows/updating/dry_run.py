@@ -1,14 +1,13 @@
 """A dry run: the jobs that a campaign would run, without running them.
 
 The updating loop is deterministic, so it can be replayed as long as the store has every job. At the
-first missing job the replay ends and lists the jobs of that iteration: those that are cached, those
-that would run, and for each of these the nearest stored result with the differences.
+first missing job the replay ends and lists the jobs of that iteration: those that are cached and
+those that would run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,17 +17,9 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import Done, Execution, Work
-from modetune.flows.jobs.job import NOMINAL, Job
-from modetune.flows.jobs.job_difference import (
-    JobDescription,
-    Nearest,
-    Text,
-    Texts,
-    deck_text,
-    job_of_note,
-    load_text,
-)
-from modetune.flows.jobs.lookup import Explanation, nearest
+from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.job_description import JobDescription, job_of_note
+from modetune.flows.jobs.lookup import Explanation
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.forecast import Unwatched
 from modetune.flows.updating.update import Updating, read_earlier, start_of
@@ -38,8 +29,7 @@ from modetune.flows.updating.update import Updating, read_earlier, start_of
 class PlannedJob:
     """A job of an iteration and its description.
 
-    asked: the description of a job that would run, None if it is cached. nearest: the nearest
-    stored result, if any, of a job that would run.
+    asked: the description of a job that would run, None if it is cached.
     """
 
     iteration: str
@@ -47,7 +37,6 @@ class PlannedJob:
     job: Job
     key: str
     asked: JobDescription | None
-    nearest: Nearest | None = None
 
     @property
     def stored(self) -> bool:
@@ -132,36 +121,15 @@ def dry_run(campaign: Campaign, folder: Path) -> DryRun:
             if not replay.planned:  # a damaged entry was set aside: replay again without it
                 continue
         break
-    asked = [item.asked for item in replay.planned if item.asked]
-    found = {
-        job.key: near
-        for job, near in zip(asked, nearest(engine.store, asked, _texts(engine)), strict=True)
-    }
-    jobs = tuple(replace(item, nearest=found.get(item.key)) for item in replay.planned)
-    return DryRun(replay.answered, tuple(updating.iterations), jobs, ended)
+    return DryRun(replay.answered, tuple(updating.iterations), tuple(replay.planned), ended)
 
 
 def explain_unrun(campaign: Campaign, start: str) -> Explanation | None:
     """Return the campaign's next job whose key has this start, or None."""
     for item in dry_run(campaign, Path("runs") / campaign.name).runs:
         if item.key.startswith(start):
-            return Explanation(item.key, "not run", item.asked, None, None, None, "", item.nearest)
+            return Explanation(item.key, "not run", item.asked, None, None, None, "")
     return None
-
-
-def _texts(engine: JobEngine) -> Texts:
-    """Return the texts of this campaign's deck and of stored decks, each read once."""
-    known: dict[str, Text | None] = {}
-
-    def text(digest: str) -> Text | None:
-        if digest not in known and digest == engine.plans.model_digest():
-            with suppress(OSError):  # no room for a temporary copy: the explanation is shorter
-                known[digest] = deck_text(engine.plans.plan(NOMINAL).rendered)
-        if digest not in known:
-            known[digest] = load_text(engine.store, digest)
-        return known[digest]
-
-    return text
 
 
 def _each_once(jobs: Sequence[PlannedJob]) -> list[PlannedJob]:

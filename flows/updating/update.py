@@ -58,7 +58,7 @@ from modetune.flows.campaign.solvers import untested_capabilities
 from modetune.flows.campaign.units import unit_doubt
 from modetune.flows.diagnosis.causes import cause_sentences, causes
 from modetune.flows.diagnosis.findings import Finding
-from modetune.flows.jobs.campaign_engine import engine_of, job_engine, solving_engine
+from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.iteration_tables import iteration_row
@@ -492,8 +492,6 @@ def _update(
     with unfinished_record(unfinished) as write:
         record = Updating(campaign, evaluator, forecaster or progress, keep).run()
     logger.info("%s: %s", record.status, record.reason)
-    for case in campaign.cases:
-        engine_of(engine, campaign, case).save_text()
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
     with storage_errors(unfinished):

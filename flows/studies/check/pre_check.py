@@ -120,7 +120,6 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     except SolverError as error:
         no_modes = MODEL.wrong(f"the solver computed no modes: {error}")
         return PreCheckReport((*static, no_modes), failure=error)
-    engine.save_text()
     findings = (*report.findings, *memory)
     return replace(report, findings=findings, runs=runs.plus(evaluator.runs))
 

@@ -194,11 +194,10 @@ def test_a_change_that_no_parameter_makes_good_fails_both_jobs(repository: Path)
     assert failed.returncode == 3, failed.stdout + failed.stderr
 
 
-def test_a_dry_run_says_that_the_deck_changed(repository: Path) -> None:
+def test_a_dry_run_names_the_job_of_a_changed_deck(repository: Path) -> None:
     changed(repository, "m2: 2.4", "m2: 3.2")
     said = typed(repository, "update campaign.yaml --dry-run")
     assert said.returncode == 0
-    assert "the deck's text differs" in said.stdout
     key = re.findall(r"^run   (\w{12})", said.stdout, re.MULTILINE)[0]
     told = typed(repository, f"explain {key} --store campaign.yaml")
     assert told.returncode == 0, told.stderr

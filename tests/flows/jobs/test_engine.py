@@ -142,7 +142,6 @@ def test_decks_leave_memory_with_their_runs_failed_ones_too(bench: Any) -> None:
     engine.solve(Job({"k1": 1.1}, ModalAnalysis(5, (1,))))
     with pytest.raises(SolverRejected):
         engine.solve(Job({"k1": 1.2}, ModalAnalysis(5, (1,))))
-    engine.save_text()
     assert (engine.plans._waiting, engine.plans._size) == ({}, 0)
 
 
@@ -193,7 +192,7 @@ def test_a_campaign_by_calculix_edits_the_deck_once_a_job(
     assert len(texts) == len(set(texts)) == counts.modal + counts.sensitivity + 1
     first, again = len(texts), load_campaign(tmp_path / "bar.yaml")
     assert update_campaign(again, tmp_path / "run", watcher).record.runs.modal == 0
-    assert len(texts) == 2 * first
+    assert len(texts) == 2 * first - 1  # only notes of new results need the deck's own values
 
 
 @pytest.mark.skipif(not mumps.is_available(), reason="MUMPS is not installed here")

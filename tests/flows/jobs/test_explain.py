@@ -1,4 +1,4 @@
-"""Why a job is run: stored results explained, the nearest one found, dry runs that run nothing."""
+"""Stored results explained, and dry runs that run nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis
+from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError, NotStored, SolverRejected
 from modetune.core.storage.keys import canonical_json, content_key
 from modetune.core.storage.store import Store
@@ -19,7 +19,6 @@ from modetune.flows.cli.explain import explain
 from modetune.flows.cli.update import show_dry_run
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
-from modetune.flows.jobs.job_difference import differences, job_of_holding
 from modetune.flows.jobs.lookup import explain_job, key_start
 from modetune.flows.updating.dry_run import dry_run, explain_unrun
 from modetune.flows.updating.update import update_campaign
@@ -53,63 +52,6 @@ def test_a_result_is_told_in_the_campaigns_words(bench: Any) -> None:
     assert found.job.note is not None
     assert found.job.note.values == (("k1", 1.1), ("k2", 0.9))
     assert (found.job.note.model, found.job.note.n_modes) == ("chain", 6)
-    assert found.nearest is None  # it is alone
-
-
-def test_the_nearest_result_differs_in_the_fewest_and_the_least(bench: Any) -> None:
-    key = solved(bench, {"k1": 1.1, "k2": 0.9})
-    solved(bench, {"k1": 1.3, "k2": 0.9})
-    near = solved(bench, {"k1": 1.12, "k2": 0.9})
-    solved(bench, {"k1": 1.1001, "k2": 0.9001})  # nearer, but in two values
-    solved(bench, {"k1": 1.1, "k2": 0.9}, MatrixAnalysis())  # another analysis
-    found = explain_job(bench.campaign(TRUTH).store, key)
-    assert found is not None
-    assert found.nearest is not None
-    assert found.nearest.key == near
-    assert found.nearest.differences == ("k1 1.1, there 1.12",)
-
-
-def test_values_that_print_alike_are_told_apart(bench: Any) -> None:
-    key = solved(bench, {"k1": 1.1})
-    solved(bench, {"k1": 1.100000001})
-    found = explain_job(bench.campaign(TRUTH).store, key)
-    assert found is not None
-    assert found.nearest is not None
-    assert found.nearest.differences == ("k1 1.1, there 1.100000001",)
-
-
-def test_what_is_asked_of_the_model_is_told(bench: Any) -> None:
-    first = solved(bench, {"k1": 1.1})
-    fewer = ModalAnalysis(5, (1, 2, 3))
-    solved(bench, {"k1": 1.1}, fewer)
-    found = explain_job(bench.campaign(TRUTH).store, first)
-    assert found is not None
-    assert found.nearest is not None
-    assert found.nearest.differences == ("6 modes, there 5", "shapes at 6 nodes, there at 3")
-
-
-def test_another_solver_version_and_another_deck_are_told(bench: Any) -> None:
-    key = solved(bench, {"k1": 1.1})
-    (job,) = map(job_of_holding, holdings(bench.campaign(TRUTH).store))
-    assert job.note is not None
-    note = replace(job.note, model="wing.inp", model_digest="other")
-    other = replace(job, key="f" * 64, solver_version="0.9", note=note)
-    assert key == job.key
-    assert differences(job, other) == (
-        "scripted 1, there 0.9",
-        "the deck's text differs (chain, there wing.inp)",
-    )
-
-
-def test_a_result_without_a_note_is_told_by_what_was_asked(bench: Any) -> None:
-    key = solved(bench, {"k1": 1.1})
-    solved(bench, {"k1": 1.2})
-    store = bench.campaign(TRUTH).store
-    old = [replace(holding, note="") for holding in holdings(store)]
-    jobs = {holding.key: job_of_holding(holding) for holding in old}
-    (other,) = set(jobs) - {key}
-    told = differences(jobs[key], jobs[other])
-    assert told == ('parameter values {"k1": 1.1}, there {"k1": 1.2}',)
 
 
 def test_a_failed_job_is_told_with_its_values_and_its_log(bench: Any) -> None:
@@ -124,8 +66,6 @@ def test_a_failed_job_is_told_with_its_values_and_its_log(bench: Any) -> None:
     assert found is not None
     assert found.state == "failed"
     assert "REJECTED" in found.log
-    assert found.nearest is not None
-    assert found.nearest.differences == ("k1 1.3, there 1",)
 
 
 def test_a_start_that_fits_several_keys_is_refused_with_them(bench: Any) -> None:
@@ -161,7 +101,6 @@ def test_a_dry_run_of_a_new_campaign_tells_the_first_jobs_and_runs_none(bench: A
     assert bench.runs() == 0
     assert [item.name for item in found.jobs] == ["modal", "sensitivity k1", "sensitivity k2"]
     assert found.runs == found.jobs
-    assert all(item.nearest is None for item in found.jobs)
     assert not campaign.store.folder.exists()
 
 
@@ -190,8 +129,6 @@ def test_a_dry_run_follows_the_store_to_where_its_answers_end(bench: Any, watche
     assert len(found.iterations) == 2
     (missing,) = found.runs
     assert (missing.key, missing.name, missing.iteration) == (gone, "modal", "iteration 2")
-    assert missing.nearest is not None
-    assert all(text.startswith("k") for text in missing.nearest.differences)
 
 
 def test_a_dry_run_takes_no_damaged_entry_for_a_hit(bench: Any, watcher: Any) -> None:
@@ -213,8 +150,9 @@ def test_a_job_that_is_still_to_be_run_is_told_by_its_campaign(bench: Any) -> No
     found = explain_unrun(campaign, item.key[:10])
     assert found is not None
     assert found.state == "not run"
-    assert found.nearest is not None
-    assert "k2 1, there 1.1" in found.nearest.differences
+    assert found.job is not None
+    assert found.job.note is not None
+    assert found.job.note.values == (("k1", 1.0), ("k2", 1.0))
 
 
 def test_an_engine_that_may_not_run_says_what_it_lacks(bench: Any) -> None:
@@ -234,11 +172,10 @@ def test_the_command_tells_a_job_in_lines_and_as_an_object(
     said = capsys.readouterr().out
     assert said.startswith(f"job      {key}\nstate    stored\n")
     assert "modal analysis of chain, 6 modes, shapes at 6 nodes" in said
-    assert "k1 1.1, there 1.2" in said
+    assert "at       k1 1.1" in said
     explain(key, store, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["job"]["values"]) == ("stored", {"k1": 1.1})
-    assert told["nearest"]["differences"] == ["k1 1.1, there 1.2"]
 
 
 def test_the_command_refuses_what_nothing_is_known_of(bench: Any) -> None:
@@ -260,7 +197,7 @@ def test_a_dry_run_is_told_in_lines_and_as_an_object(
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("run   ")
     assert said[0].endswith("iteration 0 / modal")
-    assert said[1].strip() == "the store has no result to compare it with"
+    assert said[1].startswith("1 job of 1 in this iteration would run")
     show_dry_run(parameters, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert (told["status"], told["runs"], told["jobs"][0]["stored"]) == ("would run", 1, False)

@@ -23,8 +23,7 @@ from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs import store_index
 from modetune.flows.jobs.job import JobNote
-from modetune.flows.jobs.job_difference import JobDescription, differences, job_of_holding
-from modetune.flows.jobs.lookup import nearest
+from modetune.flows.jobs.job_description import job_of_holding
 from modetune.flows.jobs.store_index import EntryFilter, IndexedEntry, StoreIndex, query_index
 from modetune.flows.updating.update import update_campaign
 from tests.core.storage.test_locks import without_flock
@@ -78,13 +77,6 @@ def told(entries: list[IndexedEntry]) -> set[tuple[object, ...]]:
     }
 
 
-def distance(job: JobDescription, other: JobDescription) -> float:
-    if job.note is None or other.note is None:
-        return float("inf")
-    ours, theirs = dict(job.note.values), dict(other.note.values)
-    return sum(abs(ours.get(name, 1.0) - theirs.get(name, 1.0)) for name in {*ours, *theirs})
-
-
 def test_entries_are_what_stands_before_them(store: Store) -> None:
     expected = {
         (item.key, store.path(item.key).stat().st_size, item.wall_s, job_of_holding(item).note)
@@ -105,22 +97,6 @@ def test_the_newest_come_first(store: Store) -> None:
     assert [entry.written_s for entry in found] == [1e9 + COUNT - 1 - place for place in range(5)]
 
 
-def test_the_nearest_is_what_a_comparison_with_every_entry_finds(store: Store) -> None:
-    jobs = [job_of_holding(holding) for holding in holdings(store)]
-
-    def rank(job: JobDescription, other: JobDescription) -> tuple[bool, bool, int, float]:
-        count = len(differences(job, other))
-        return other.solver != job.solver, other.kind != job.kind, count, distance(job, other)
-
-    found = nearest(store, jobs, lambda _: None)
-    by_key = {job.key: job for job in jobs}
-    for job, near in zip(jobs, found, strict=True):
-        assert near is not None
-        best = min(rank(job, other) for other in jobs if other.key != job.key)
-        assert rank(job, by_key[near.key]) == best
-        assert near.differences == differences(job, by_key[near.key])
-
-
 def test_no_entry_is_opened_twice(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     everything(store)
     opened: list[str] = []
@@ -131,10 +107,8 @@ def test_no_entry_is_opened_twice(store: Store, monkeypatch: pytest.MonkeyPatch)
         return honest(self, key)
 
     monkeypatch.setattr(Store, "holding", counted)
-    job = job_of_holding(holdings(store)[0])
-    opened.clear()
     everything(store)
-    query_index(store, lambda index: (index.newest(5), index.nearest(job), index.sums()))
+    query_index(store, lambda index: (index.newest(5), index.sums()))
     assert opened == []
     key = put(store, np.random.default_rng(99))
     assert key in {entry.key for entry in everything(store)}
@@ -161,15 +135,13 @@ def test_what_is_new_replaced_or_gone_is_seen_at_once(store: Store) -> None:
     assert new not in {entry.key for entry in everything(store)}
 
 
-def test_entries_that_cannot_be_read_are_listed_and_never_near(store: Store) -> None:
+def test_entries_that_cannot_be_read_are_listed_but_not_described(store: Store) -> None:
     bad = holdings(store)[0].key
     store.path(bad).write_bytes(b"no entry")
     (found,) = [entry for entry in everything(store) if entry.job is None]
     assert (found.key, found.size) == (bad, len(b"no entry"))
     keys = {entry.key for entry in query_index(store, lambda index: index.newest(COUNT))}
     assert len(keys) == COUNT - 1
-    job = job_of_holding(holdings(store)[0])
-    assert bad not in query_index(store, lambda index: index.nearest(job))
 
 
 def test_entries_of_other_formats_are_not_in_it(store: Store) -> None:
@@ -182,7 +154,6 @@ def test_entries_of_other_formats_are_not_in_it(store: Store) -> None:
 
 def test_an_index_that_is_damaged_changes_nothing_and_is_made_anew(store: Store) -> None:
     expected, random = told(everything(store)), np.random.default_rng(11)
-    job = job_of_holding(holdings(store)[0])
     file = index_file(store)
     good = file.read_bytes()
     for _ in range(100):
@@ -191,13 +162,8 @@ def test_an_index_that_is_damaged_changes_nothing_and_is_made_anew(store: Store)
             spoilt[place] = random.integers(256)
         cut = int(random.integers(1, len(good))) if random.uniform() < 0.2 else len(good)
         file.write_bytes(spoilt[:cut])
-        query_index(store, lambda index: (index.newest(5), index.sums(), index.nearest(job)))
+        query_index(store, lambda index: (index.newest(5), index.sums()))
         everything(store)
-        (near,) = nearest(store, [job], lambda _: None)
-        assert near is not None  # told by the entry, whatever the index says
-        holding = store.holding(near.key)
-        assert holding is not None
-        assert near.differences == differences(job, job_of_holding(holding))
     for junk in (b"", b"no database", good[: len(good) // 2]):
         file.write_bytes(junk)
         assert told(everything(store)) == expected
