@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import lru_cache
+from itertools import product
 
 from modetune.adapters.calculix.constraints import Dof, read_constraints
 from modetune.adapters.calculix.cyclic_symmetry import read_cyclic_symmetry
@@ -173,6 +174,10 @@ def _split(
 FOR_A_MODE = 5
 #: Stiffness and mass of a spare unknown.
 STIFFNESS, MASS = 1e-8 * SPARE_EIGENVALUE, 1e-8
+#: Elements that bring no mass.
+MASSLESS = ("SPRING", "DASHPOT", "GAP", "DCOUP")
+#: Relative distance of the eigenvalues of spare unknowns.
+APART = 0.03
 #: Models with more nodes have unknowns enough.
 MOST_NODES = 20_000
 
@@ -182,7 +187,13 @@ def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
     wanted, free = FOR_A_MODE * n_modes, _free(structure)
     if any("COMPOSITE" in card.options for card in structure.sections):
         return []  # ccx 2.20 accepts no masses and springs together with composite shells
-    if not free or len({node for node, _ in free}) >= wanted:
+    massive = {
+        node
+        for element in structure.mesh.elements.values()
+        if not element.kind.startswith(MASSLESS)
+        for node in element.nodes
+    }
+    if not free or len(massive.intersection(node for node, _ in free)) >= wanted:
         return []
     first = max(structure.mesh.nodes, default=0) + 1
     element = max(structure.mesh.elements, default=0) + 1
@@ -194,11 +205,13 @@ def spare_unknowns(structure: CalculixStructure, n_modes: int) -> list[str]:
     lines += ["*ELEMENT, TYPE=MASS, ELSET=MODETUNE_SPARE"]
     lines += [f"{element + at}, {node}" for at, node in enumerate(spare)]
     lines += ["*MASS, ELSET=MODETUNE_SPARE", f"{MASS:.1E}"]
-    for component in (1, 2, 3):
-        name = f"MODETUNE_SPARE{component}"
-        numbers = enumerate(spare, element + component * count)
-        lines += [f"*ELEMENT, TYPE=SPRING1, ELSET={name}", *(f"{at}, {n}" for at, n in numbers)]
-        lines += [f"*SPRING, ELSET={name}", f"{component}", f"{STIFFNESS:.1E}"]
+    # ARPACK needs more vectors than a small model has modes, and its start vector holds one of
+    # equal eigenvalues: with equal spare ones it ends with an error, or corrupts its memory.
+    for at, (node, component) in enumerate(product(spare, (1, 2, 3))):
+        name = f"MODETUNE_SPARE{at}"
+        lines += [f"*ELEMENT, TYPE=SPRING1, ELSET={name}", f"{element + count + at}, {node}"]
+        stiffness = STIFFNESS * (1.0 + APART * at)
+        lines += [f"*SPRING, ELSET={name}", f"{component}", f"{stiffness:.6E}"]
     return lines
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modetune.adapters.cross_checks import check_energies
+from modetune.adapters.cross_checks import SPARE_EIGENVALUE, check_energies
 from modetune.adapters.solver import ModalAnalysis
 from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.updating.job_results import ModalResult
@@ -97,6 +97,8 @@ def shape_matrix(shapes: Sequence[GridShape], n_modes: int) -> tuple[Integers, I
     used[scalar, 1:] = False
     columns = [shape.values[order][used] for shape in shapes]
     matrix = np.stack(columns, axis=1)
+    # MYSTRAN prints no numbers for some modes of spare unknowns, which `without_spare` leaves out.
+    matrix[:, [shape.eigenvalue >= 0.5 * SPARE_EIGENVALUE for shape in shapes]] = 0.0
     if not np.isfinite(matrix).all():
         raise ValueError("a mode shape is not a finite number")
     rows, columns_used = np.nonzero(used)

@@ -21,7 +21,7 @@ def modes(
 ) -> StudyResult:
     """Compute the modes of a campaign's model or of a deck."""
     from modetune.flows.campaign.units import KILOGRAMS
-    from modetune.flows.updating.mode_source import model_modes
+    from modetune.flows.updating.mode_source import campaign_analysis, model_modes
 
     campaign = on.campaign
     found = model_modes(campaign, on.values, number)
@@ -42,4 +42,6 @@ def modes(
         solver_version=version,
     )
     sentence = f"{mass}; {name} {version.removeprefix(f'{name} ')}"
+    if hz.size < (asked := number or campaign_analysis(campaign).n_modes):
+        sentence += f"; the model has no more than {hz.size} modes ({asked} were requested)"
     return StudyResult(found, sentence, summary, lines=[*lines, sentence], written=None)
