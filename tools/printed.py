@@ -17,7 +17,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,11 +41,16 @@ class Difference:
         return f"$ {self.command}\n  shown:   {self.shown}\n  printed: {self.printed}"
 
 
-def differences(page: Path) -> Iterator[Difference]:
-    """Run a page's commands; every shown line that was not printed, after the one before it."""
+def blocks(page: Path) -> list[str]:
+    """The blocks of a page that hold commands."""
+    return BLOCK.findall(page.read_text())
+
+
+def differences(blocks: Iterable[str]) -> Iterator[Difference]:
+    """Run blocks of a page; every shown line that was not printed, after the one before it."""
     with tempfile.TemporaryDirectory(prefix="modetune-page-") as name:
         folder = Path(name)
-        for block in BLOCK.findall(page.read_text()):
+        for block in blocks:
             command, printed = "", list[str]()
             for line in block.splitlines():
                 if line.startswith("$ "):
@@ -110,7 +115,7 @@ def _likest(line: str, printed: list[str]) -> str:
 
 def main(page: Path, write: bool) -> int:
     """Print differences, or correct the page; 1 if any remains."""
-    found = list(differences(page))
+    found = list(differences(blocks(page)))
     if write:
         text = page.read_text()
         for item in found:
