@@ -31,6 +31,7 @@ from tests.adapters.abaqus.decks import (
     HIGH,
     SIDE,
     STEEL,
+    STEP,
     THICK,
     WIDE,
     bracket,
@@ -112,6 +113,27 @@ def test_flattened_assemblies_have_the_frequencies_of_those_flattened_by_hand(
     assert ours == pytest.approx(theirs, rel=1e-9)
     expected = closed()
     assert ours[: expected.size] == pytest.approx(expected, rel=within)
+
+
+@needs_ccx
+def test_of_several_steps_the_chosen_or_the_last_one_gives_the_modes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Supports of a frequency step, a perturbation, are of this step alone."""
+    clamped, _ = tied_bars()
+    model, _, _ = clamped.partition("** STEP: Modes")
+    free = model + STEP.format(boundary="")
+    path = tmp_path / "both.inp"
+    path.write_text(clamped + STEP.format(boundary=""))
+    for number, alone in ((1, clamped), (2, free), (0, free)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        ours = assembly_solver(read_deck(path, number), ())
+        found = frequencies(ours, folder / "ours", 8)
+        expected = frequencies(of_text(alone, folder), folder / "alone", 8)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    (said,) = [text for text in caplog.messages if "the modes are those of" in text]
+    assert "step 2, the last with *FREQUENCY" in said
 
 
 def test_an_instance_is_moved_then_turned_about_the_axis_through_two_points(tmp_path: Path) -> None:
