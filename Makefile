@@ -22,7 +22,7 @@ test: $(VENV)/.ready-dev
 quick: $(VENV)/.ready-dev
 	$(PYTEST) tests/core tests/test_structure.py
 
-# The deck corpus too, and many more examples of each law.
+# The deck corpus, the fine aircraft and all six ways too, and many more examples of each law.
 nightly: $(VENV)/.ready-dev
 	$(PYTEST) -m "" --hypothesis-profile=nightly
 

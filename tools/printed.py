@@ -47,7 +47,7 @@ def blocks(page: Path) -> list[str]:
 
 
 def differences(blocks: Iterable[str]) -> Iterator[Difference]:
-    """Run blocks of a page; every shown line that was not printed, after the one before it."""
+    """Run the blocks of a page; every shown line that was not printed, after the one before it."""
     with tempfile.TemporaryDirectory(prefix="modetune-page-") as name:
         folder = Path(name)
         for block in blocks:
