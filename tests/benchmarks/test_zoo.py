@@ -26,6 +26,7 @@ def test_a_structure_is_its_family_and_seed(family: str) -> None:
         ("mechanism", "swapped"),
         ("polar_masses", "exact"),
         ("assembly", "missing"),
+        ("assembly", "far"),
         ("tower", "turned"),
         ("soft_mounts", "exact"),
         ("stick", "turned"),
@@ -83,13 +84,15 @@ def test_the_table_counts_how_updates_ended() -> None:
             intervals=3,
             with_truth=2,
         ),
+        Outcome("chain", 1, "far", found=True, trusted=True, off=True, ended="ended", listed=True),
         Outcome("chain", 3, "exact", ended="lost"),
         Outcome("chain", 4, "exact", ended="fault"),
     ]
     lines = [line.split() for line in table(outcomes).splitlines()[1:]]
     assert lines == [
-        ["chain", "5", "1", "1", "2", "1", "1", "1", "0", "1", "1", "3", "2"],
-        ["exact", "4", "1", "1", "1", "1", "1", "1", "0", "1", "0", "0", "0"],
-        ["other", "1", "0", "0", "1", "0", "0", "0", "0", "0", "1", "3", "2"],
-        ["all", "5", "1", "1", "2", "1", "1", "1", "0", "1", "1", "3", "2"],
+        ["chain", "6", "2", "2", "3", "1", "1", "3", "1", "1", "0", "1", "1", "3", "2"],
+        ["exact", "4", "1", "1", "1", "1", "1", "2", "0", "1", "0", "1", "0", "0", "0"],
+        ["other", "1", "0", "0", "1", "0", "0", "0", "0", "0", "0", "0", "1", "3", "2"],
+        ["far", "1", "1", "1", "1", "0", "0", "1", "1", "0", "0", "0", "0", "0", "0"],
+        ["all", "6", "2", "2", "3", "1", "1", "3", "1", "1", "0", "1", "1", "3", "2"],
     ]
