@@ -22,7 +22,7 @@ from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh, shortest_length
 from modetune.core.modes import Integers
-from modetune.core.parameters import Parameter, TargetKind, Values
+from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
 from modetune.core.storage.keys import Json
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.job_results import ModalResult, Result
@@ -209,6 +209,43 @@ class Target:
     title: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class DesignVariable:
+    """A free value of a deck's own design model, in its units, and its limits there."""
+
+    name: str
+    initial: float
+    lower: float
+    upper: float
+    where: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignRelation:
+    """A quantity that a deck's own design model gives by an expression of its variables."""
+
+    name: str
+    quantity: Quantity
+    by: TargetKind
+    targets: tuple[str, ...]
+    item: int
+    expression: str
+    where: str
+
+
+@dataclass(frozen=True, slots=True)
+class DesignModel:
+    """A deck's own design model, as SOL 200 has it.
+
+    refused: a sentence for each of its cards that parameters cannot represent.
+    """
+
+    variables: tuple[DesignVariable, ...] = ()
+    relations: tuple[DesignRelation, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
 #: A deck at some parameter values: what an adapter's deck makes for its program.
 Edited = Any
 
@@ -273,6 +310,10 @@ class Deck(Protocol):
         `problems` checks which quantities it has.
         """
         return ()
+
+    def design(self) -> DesignModel:
+        """The deck's own design model, empty where it has none."""
+        return DesignModel()
 
     def elastic_constants(self) -> dict[str, tuple[float, float]]:
         """E and density (0 where there is none) of each material that elements use."""

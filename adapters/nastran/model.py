@@ -20,6 +20,7 @@ from modetune.adapters.nastran.case_control import (
 )
 from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import NastranDeck, with_lines, write_edited
+from modetune.adapters.nastran.design_variables import read_design
 from modetune.adapters.nastran.fields import CardField, changed_texts, read_number
 from modetune.adapters.nastran.harmless import (
     FOLLOWED_PARAMETERS,
@@ -43,7 +44,15 @@ from modetune.adapters.nastran.places import (
 )
 from modetune.adapters.nastran.splitting import split_materials, split_properties
 from modetune.adapters.nastran.structure import Structure
-from modetune.adapters.solver import AffectedElements, Deck, Edited, MassKind, ModelSummary, Target
+from modetune.adapters.solver import (
+    AffectedElements,
+    Deck,
+    DesignModel,
+    Edited,
+    MassKind,
+    ModelSummary,
+    Target,
+)
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -165,6 +174,9 @@ class NastranModel(Deck):
             if card.text(1) == "WTMASS":
                 return self.structure.deck.number(card, 2) or 1.0
         return 1.0
+
+    def design(self) -> DesignModel:
+        return read_design(self.structure)
 
     def targets(self) -> tuple[Target, ...]:
         return targets(self.structure)

@@ -67,7 +67,7 @@ def summary(draft: Draft) -> dict[str, Json]:
         subcase=sketch.model.subcase,
         step=sketch.model.step,
         cases=[json_object(item, "key number about") for item in draft.cases],
-        parameters=[item.parameter.name for item in draft.free],
+        parameters=list(draft.names),
         candidates=[
             json_object(
                 item.parameter,
@@ -105,9 +105,15 @@ def _lines(draft: Draft) -> list[str]:
             f"test     {len(modes.numbers)} modes {at} {len(test.mapping.table)} sensors{out}",
             f"sensors  {test.about}",
         ]
-    free = [item.parameter.name for item in draft.free]
-    texts.append(
-        f"free     {len(free)} of {len(draft.candidates)} candidate parameters: {listed(free)}; "
-        "the others are commented out"
-    )
+    free = list(draft.names)
+    refused = draft.design.refused
+    if draft.design.parameters:
+        texts.append(f"free     the deck's {len(free)} design variables: {listed(free)}")
+    else:
+        texts.append(
+            f"free     {len(free)} of {len(draft.candidates)} candidate parameters: "
+            f"{listed(free)}; the others are commented out"
+        )
+    if refused:
+        texts.append(f"design   {len(refused)} remarks on design cards are in the file")
     return [*texts, f"written: {draft.path}", "", "Read it, then:", *(f"  {x}" for x in draft.next)]

@@ -10,7 +10,7 @@ import os
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import get_args
@@ -41,6 +41,12 @@ from modetune.flows.studies.identify.identification import (
     write_modes,
 )
 from modetune.flows.studies.init.candidate_parameters import Candidate, candidates
+from modetune.flows.studies.init.design_parameters import (
+    REACHES,
+    DesignDraft,
+    DesignParameter,
+    design_parameters,
+)
 
 #: Settings of `test.sensors` to try, and the meaning of each.
 POSES: tuple[tuple[dict[str, str], str], ...] = (
@@ -52,6 +58,9 @@ POSES: tuple[tuple[dict[str, str], str], ...] = (
     ({"align": "fit", "unmapped": "leave_out"}, "rotation and translation were found from the "
      "points alone, and some sensors have no node near them: look with `modetune sensors`"),
 )  # fmt: skip
+
+
+NO_DESIGN = DesignDraft()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +92,13 @@ class Draft:
     test: TestDraft | None
     candidates: tuple[Candidate, ...]
     cases: tuple[ModalCase, ...] = ()
+    design: DesignDraft = NO_DESIGN
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the free parameters."""
+        own = tuple(item.name for item in self.design.parameters if item.variable is not None)
+        return own or tuple(item.parameter.name for item in self.free)
 
     @property
     def free(self) -> tuple[Candidate, ...]:
@@ -283,6 +299,25 @@ def _sensors(draft: Draft, test: TestDraft) -> Iterator[str]:
 
 
 def _parameters(draft: Draft) -> Iterator[str]:
+    if draft.design.parameters:
+        yield from _said(
+            "The parameters are the deck's own design variables (DESVAR), in its units: bounds are "
+            "their limits, deviation is how uncertain they are beforehand (10 %: PLEASE CHECK). "
+            "Expressions give what their relations (DVPREL, DVMREL, DVCREL, DLINK) give."
+        )
+    yield from (line for text in draft.design.refused for line in _said(f"Not represented: {text}"))
+    if draft.design.parameters:
+        yield "parameters:"
+        for own in draft.design.parameters:
+            yield from _design_parameter(own)
+        yield from _said(
+            "Other numbers of the deck that could be parameters; their values are relative to the "
+            "deck's. Use none that a design variable gives already.",
+            "  ",
+        )
+        yield from _candidates(draft)
+        yield ""
+        return
     free, all_ = len(draft.free), len(draft.candidates)
     yield from _said(
         "What may change, relative to the deck's value: bounds are how far it may go, deviation is "
@@ -292,12 +327,34 @@ def _parameters(draft: Draft) -> Iterator[str]:
         "A number without a parameter stays what the deck says."
     )
     yield "parameters:"
+    yield from _candidates(draft)
+    yield ""
+
+
+def _candidates(draft: Draft) -> Iterator[str]:
     for quantity, group in groupby(draft.candidates, lambda item: item.expected.quantity):
         members = list(group)
         yield from _said(f"{quantity}: {members[0].expected.why}", "  ")
         for item in members:
             yield from _parameter(item)
-    yield ""
+
+
+def _design_parameter(item: DesignParameter) -> Iterator[str]:
+    """Return a design variable, or a number that an expression of them gives."""
+    relation = item.relation
+    keys = f"name: {_word(item.name)}, quantity: {relation.quantity if relation else 'variable'}"
+    if relation is not None:
+        keys += f", {relation.by}: {_target(relation.targets[0])}"
+        keys += f", item: {relation.item}" if relation.item else ""
+    keys += ", values: absolute"
+    yield from _said(item.note, "  ") if item.note else ()
+    if item.variable is None:
+        assert relation is not None
+        yield f"  - {{{keys}, expression: {json.dumps(relation.expression)}}}"
+        return
+    lower, upper = item.bounds
+    numbers = f"bounds: [{lower!r}, {upper!r}], deviation: {item.deviation:.6g}"
+    yield f"  - {{{keys}, initial: {item.variable.initial!r}, {numbers}}}"
 
 
 def _parameter(item: Candidate) -> Iterator[str]:
@@ -365,12 +422,43 @@ def init_campaign(
     """
     path = out or deck.with_name("campaign.yaml")
     keep(path, force)
-    draft = draft_campaign(deck, tests, settings, path, force)
-    with writing(path) as part:
-        part.write_text(campaign_text(draft), encoding="utf-8")
+    draft = _with_design(draft_campaign(deck, tests, settings, path, force))
     try:
-        load_campaign(path, [], CampaignFile if draft.test else OpenFile)
+        _write_checked(draft)
     except CampaignError as error:
-        path.unlink()
         raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
     return draft
+
+
+def _with_design(draft: Draft) -> Draft:
+    """Return the draft with the deck's own design variables in place of the candidates.
+
+    If no bounds of theirs make a campaign, the reason is added to the draft.
+    """
+    refused: tuple[str, ...] = ()
+    for reach in REACHES:
+        design = design_parameters(draft.sketch.solver, reach)
+        if not design.parameters:
+            return replace(draft, design=design)
+        others = tuple(replace(item, free=False) for item in draft.candidates)
+        found = replace(draft, design=design, candidates=others)
+        try:
+            _write_checked(found)
+        except CampaignError as error:
+            problems = (item.partition(": ")[2] or item for item in error.problems)
+            why = (f"the design variables, within any bounds: {item}" for item in problems)
+            refused = (*design.refused, *why)
+        else:
+            return found
+    return replace(draft, design=DesignDraft((), refused))
+
+
+def _write_checked(draft: Draft) -> None:
+    """Write the campaign file and read it. Raises CampaignError, and the file is removed."""
+    with writing(draft.path) as part:
+        part.write_text(campaign_text(draft), encoding="utf-8")
+    try:
+        load_campaign(draft.path, [], CampaignFile if draft.test else OpenFile)
+    except CampaignError:
+        draft.path.unlink()
+        raise

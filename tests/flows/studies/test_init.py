@@ -277,4 +277,4 @@ def test_public_decks_get_a_campaign_or_the_reason_why_not(
         except (CampaignError, ModelError) as error:
             assert deck.stem in str(error)  # noqa: PT017 (either end is right)
             continue
-        assert draft.free
+        assert draft.names
