@@ -246,6 +246,18 @@ class DesignModel:
     refused: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class StatedUnits:
+    """Units of length and force that a deck states, in metres and newtons.
+
+    where: file, line and the statement.
+    """
+
+    metres: float
+    newtons: float
+    where: str
+
+
 #: A deck at some parameter values: what an adapter's deck makes for its program.
 Edited = Any
 
@@ -318,6 +330,10 @@ class Deck(Protocol):
     def elastic_constants(self) -> dict[str, tuple[float, float]]:
         """E and density (0 where there is none) of each material that elements use."""
         return {}
+
+    def stated_units(self) -> StatedUnits | None:
+        """Return the units that the deck itself states, None where it states none."""
+        return None
 
     def wave_speeds(self) -> dict[str, float]:
         """Root of E over density of each material that has both, in the deck's units."""

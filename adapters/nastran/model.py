@@ -43,6 +43,7 @@ from modetune.adapters.nastran.places import (
     targets,
 )
 from modetune.adapters.nastran.splitting import split_materials, split_properties
+from modetune.adapters.nastran.stated_units import stated_units
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import (
     AffectedElements,
@@ -51,6 +52,7 @@ from modetune.adapters.solver import (
     Edited,
     MassKind,
     ModelSummary,
+    StatedUnits,
     Target,
 )
 from modetune.core.algebra.matrices import MatrixResult
@@ -192,6 +194,9 @@ class NastranModel(Deck):
             if modulus and modulus > 0.0 and density >= 0.0:
                 found[f"{material.type} {number}"] = float(modulus), float(density)
         return found
+
+    def stated_units(self) -> StatedUnits | None:
+        return stated_units(self.deck)
 
     def material_masses(self) -> dict[str, float]:
         """About the mass of each material, by `MAT1 30`; plies share that of their element."""

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from typing import Literal
 
-from modetune.adapters.solver import Solver
+from modetune.adapters.solver import Solver, StatedUnits
 
-Units = Literal["m-kg-s", "mm-t-s", "in-slinch-s", "ft-slug-s"]
+Units = Literal["m-kg-s", "mm-t-s", "mm-kg-s", "cm-g-s", "in-slinch-s", "ft-slug-s"]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 
 KILOGRAMS: dict[Units, float] = {
     "m-kg-s": 1.0,
     "mm-t-s": 1e3,
+    "mm-kg-s": 1.0,
+    "cm-g-s": 1e-3,
     "in-slinch-s": 175.126835,
     "ft-slug-s": 14.5939029,
 }
 METRES: dict[Units, float] = {
     "m-kg-s": 1.0,
     "mm-t-s": 1e-3,
+    "mm-kg-s": 1e-3,
+    "cm-g-s": 1e-2,
     "in-slinch-s": 0.0254,
     "ft-slug-s": 0.3048,
 }
@@ -34,38 +38,53 @@ SPEEDS = (500.0, 20_000.0)
 
 #: Young's moduli, Pa, and densities, kg/m3, of load-bearing materials: wood to tungsten.
 MODULI, DENSITIES = (1e8, 1.2e12), (300.0, 2.3e4)
-#: Young's moduli of usual structural materials: plastics to steel and carbon fibre.
-USUAL_MODULI = (1e9, 4e11)
+#: Sizes of units differ by less where only their digits do; those of systems differ by 2 or more.
+SAME = 1e-3
 
 
 def guessed_units(solver: Solver) -> tuple[Units | None, str]:
-    """Return the units in which most of the model's mass is of a real material, and the reason.
+    """Return the units that the deck states, or that make most of its mass a real material.
 
     None where no units or several fit. This is a guess that callers must report to the user.
     """
+    stated = solver.deck.stated_units()
+    if stated is not None:
+        found = _consistent(stated)
+        return found, f"{stated.where}" + ("" if found else ": no known system of units")
     known, masses = solver.deck.elastic_constants(), solver.deck.material_masses()
     if not known:
         return None, "no material of the deck has a Young's modulus"
+    known = {name: pair for name, pair in known.items() if pair[1]}  # rigid dummies have no mass
+    if not known:
+        return None, "no material of the deck has a density, from which units would follow"
     score = dict.fromkeys(METRES, 0.0)
     for name, (modulus, density) in known.items():
         for units in score:
             if _real(units, modulus, density):
                 score[units] += masses.get(name, 0.0) if any(masses.values()) else 1.0
     fitting = [units for units, weight in score.items() if weight and weight == max(score.values())]
-    name = max(known, key=lambda item: (masses.get(item, 0.0), known[item][1] > 0.0))
+    name = max(known, key=lambda item: masses.get(item, 0.0))
     modulus, density = known[name]
-    text = f"E {modulus:.6g}" + (f" and density {density:.6g}" if density else "") + f" of {name}"
+    text = f"E {modulus:.6g} and density {density:.6g} of {name}"
     if len(fitting) == 1:
         return fitting[0], f"{text} are those of a real material in {fitting[0]}"
     among = f"fit {' and '.join(fitting)}" if fitting else "fit no known units"
     return None, f"{text} {among}"
 
 
+def _consistent(stated: StatedUnits) -> Units | None:
+    """Return the known units of these sizes: a unit of force is mass times length per s^2."""
+    kilograms = stated.newtons / stated.metres
+    for units, metres in METRES.items():
+        same = abs(metres / stated.metres - 1.0) < SAME
+        if same and abs(KILOGRAMS[units] / kilograms - 1.0) < SAME:
+            return units
+    return None
+
+
 def _real(units: Units, modulus: float, density: float) -> bool:
-    """Return whether such a material exists, or without a density whether E is a usual modulus."""
+    """Return whether such a material exists."""
     pascals = modulus * KILOGRAMS[units] / METRES[units]
-    if not density:
-        return USUAL_MODULI[0] <= pascals <= USUAL_MODULI[1]
     heavy, speed = density * KILOGRAMS[units] / METRES[units] ** 3, (modulus / density) ** 0.5
     return (
         MODULI[0] <= pascals <= MODULI[1]
@@ -75,11 +94,14 @@ def _real(units: Units, modulus: float, density: float) -> bool:
 
 
 def unit_doubt(units: Units, solver: Solver) -> str:
-    """Return why the materials of most of the mass make a model's units doubtful, else "".
+    """Return why the deck or the materials of most of the mass make units doubtful, else "".
 
     Films, foams and honeycombs have unusual values but little mass.
     """
     deck = solver.deck
+    stated = deck.stated_units()
+    if stated is not None and (found := _consistent(stated)) != units:
+        return f"units are {units}, but {stated.where}" + (f" ({found})" if found else "")
     speeds, masses = deck.wave_speeds(), deck.material_masses()
     weights = {name: masses.get(name, 0.0) if masses else 1.0 for name in speeds}
     strange = {
@@ -90,9 +112,7 @@ def unit_doubt(units: Units, solver: Solver) -> str:
     if 2.0 * sum(strange.values()) <= sum(weights.values()):
         return ""
     name = max(strange, key=strange.__getitem__)
-    fitting = [
-        unit for unit, scale in METRES.items() if SPEEDS[0] <= speeds[name] * scale <= SPEEDS[1]
-    ]
+    fitting = [unit for unit in METRES if _real(unit, *deck.elastic_constants()[name])]
     hint = f"; {' or '.join(fitting)} would fit" if fitting else ""
     return (
         f"in units {units} material {name}, with most of the mass, has a speed of sound of "

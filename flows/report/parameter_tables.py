@@ -15,6 +15,8 @@ from modetune.flows.report.tables import Column, Table, columns_of, table_of
 SYSTEMS: dict[str, tuple[str, str, str]] = {
     "m-kg-s": ("m", "kg", "Pa"),
     "mm-t-s": ("mm", "t", "MPa"),
+    "mm-kg-s": ("mm", "kg", "kPa"),
+    "cm-g-s": ("cm", "g", "Ba"),
     "in-slinch-s": ("in", "slinch", "psi"),
     "ft-slug-s": ("ft", "slug", "psf"),
 }

@@ -12,7 +12,7 @@ from modetune.adapters.nastran.solver import mystran_solver
 from modetune.core.errors import CampaignError
 from modetune.core.mesh import Cells, Mesh, cell_sizes
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.campaign.units import guessed_units, unit_doubt
+from modetune.flows.campaign.units import KILOGRAMS, guessed_units, unit_doubt
 from modetune.flows.studies.check.pre_check import check_campaign
 
 #: A steel plate of 100 x 100 x 2 mm with a film of 0.01 mm whose modulus is a dummy.
@@ -132,6 +132,8 @@ def test_a_doubt_about_units_is_no_error_is_told_and_is_accepted_by_its_name(
         ("210000.", "7.85e-9", "mm-t-s"),
         ("2.96e7", "7.3e-4", "in-slinch-s"),
         ("4.2e9", "15.2", "ft-slug-s"),
+        ("2.1e8", "7.85e-6", "mm-kg-s"),  # millinewtons, kPa
+        ("7.e11", "2.7", "cm-g-s"),
         ("7.e10", "2700.", "m-kg-s"),
         ("3.e9", "1100.", "m-kg-s"),  # a plastic
         ("1.35e5", "1.6e-9", "mm-t-s"),  # fibres in resin
@@ -148,3 +150,67 @@ def test_units_are_guessed_where_one_system_makes_a_real_material(
     found, why = guessed_units(calculix_solver(deck, ()))
     assert found == units
     assert f"E {float(young):g}" in why  # the reason is told, whatever follows from it
+
+
+#: A pipe in millinewtons, millimetres and kilograms, as Simcenter writes it.
+PIPE = """\
+SOL 103
+CEND
+METHOD = 1
+BEGIN BULK
+{units}
+EIGRL,1,,,3
+GRID,1,,0.,0.,0.,,123456
+GRID,2,,300.,0.,0.
+CBAR,1,1,1,2,0.,1.,0.
+PBAR,1,1,100.,800.,800.,1600.
+MAT1,1,{young},,.3,{density}
+ENDDATA
+"""
+
+
+@pytest.mark.parametrize(
+    ("stated", "units"),
+    [
+        ("PARAM    UNITSYS   MN-MM", "mm-kg-s"),
+        ("PARAM,UNITSYS,N-MM", "mm-t-s"),
+        ("PARAM,UNITSYS,M-N", "m-kg-s"),
+        ("PARAM,UNITSYS,LBF-IN", "in-slinch-s"),
+        ("PARAM,UNITSYS,LBF-FT", "ft-slug-s"),
+        ("$*  Units: mm (milli-newton) (deg Celsius)", "mm-kg-s"),
+        ("$*                UNITS: inch (pound f)", "in-slinch-s"),
+        ("PARAM,UNITSYS,KN-M", None),
+    ],
+)
+def test_units_that_a_deck_states_go_before_a_guess(
+    stated: str, units: str | None, tmp_path: Path
+) -> None:
+    deck = tmp_path / "pipe.bdf"
+    deck.write_text(PIPE.format(units=stated, young="2.1e8", density="7.85-6"))
+    solver = mystran_solver(deck, ())
+    found, why = guessed_units(solver)
+    if units is None:  # KN is not read, so that the material decides
+        assert found == "mm-kg-s"
+        return
+    assert found == units
+    assert "pipe.bdf, line 5" in why
+    assert (unit_doubt("mm-kg-s", solver) == "") == (units == "mm-kg-s")
+    # Tonnes have the same speed of sound: only the statement can contradict them.
+    assert ("units are mm-t-s, but" in unit_doubt("mm-t-s", solver)) == (units != "mm-t-s")
+
+
+def test_a_rigid_material_without_mass_does_not_vote_on_units(tmp_path: Path) -> None:
+    deck = tmp_path / "wing.bdf"
+    text = PIPE.format(units="CONM2,9,2,,11.33", young="4.e9", density="")
+    deck.write_text(text)
+    assert guessed_units(mystran_solver(deck, ()))[0] is None
+    rigid = "GRID,3,,400.,0.,0.\nCBAR,2,2,2,3,0.,1.,0.\nPBAR,2,2,1.,1.,1.,1.\nMAT1,2,4.e9,,.3"
+    deck.write_text(PIPE.format(units=rigid, young="210000.", density="7.85-9"))
+    assert guessed_units(mystran_solver(deck, ()))[0] == "mm-t-s"
+
+
+def test_masses_of_a_model_in_millinewtons_are_in_kilograms(tmp_path: Path) -> None:
+    deck = tmp_path / "pipe.bdf"
+    deck.write_text(PIPE.format(units="PARAM,UNITSYS,MN-MM", young="2.1e8", density="7.85-6"))
+    mass = sum(mystran_solver(deck, ()).deck.material_masses().values())
+    assert mass * KILOGRAMS["mm-kg-s"] == pytest.approx(7850.0 * 0.3 * 100e-6)
