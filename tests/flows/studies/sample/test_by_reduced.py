@@ -9,7 +9,7 @@ import pytest
 
 from modetune.core.modes import Floats
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.sample import chains, posterior, refinement
+from modetune.flows.studies.sample import posterior, refinement
 from modetune.flows.studies.sample.posterior import sample_campaign
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.request import SamplingRequest
@@ -139,9 +139,7 @@ def test_where_no_surrogate_is_good_enough_the_reduced_model_itself_gives_the_sa
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(refinement, "MOST_SETS", 0)  # none to learn from
-    monkeypatch.setattr(chains, "LARGEST_R_HAT", 0.0)  # chains are never enough
     monkeypatch.setattr(posterior, "LONGEST", 1)
-    monkeypatch.setattr(posterior, "LONGER", 2)
     record = sampled(written(JOINT, tmp_path / "part"), walkers=8, steps=100)
     assert record.by_reduced_model
     assert record.steps == 100  # not continued where each set costs a reduced solution
