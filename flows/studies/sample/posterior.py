@@ -54,7 +54,7 @@ def sample_campaign(
     with learned_posterior(campaign, request, working, earlier) as known:
         learned, solver = known.learned, known.solver
         working("sampling")
-        longest = LONGEST if isinstance(learned.surrogate, ReducedFeatures) else LONGER
+        longest = LONGEST if learned.surrogate is known.reduced else LONGER
         with one_thread():
             chains = sample(
                 learned.posterior,

@@ -142,6 +142,5 @@ def test_where_no_surrogate_is_good_enough_the_reduced_model_itself_gives_the_sa
     monkeypatch.setattr(posterior, "LONGEST", 1)
     record = sampled(written(JOINT, tmp_path / "part"), walkers=8, steps=100)
     assert record.by_reduced_model
-    assert record.steps == 100  # not continued where each set costs a reduced solution
     assert record.check_errors.max() < 0.1
     assert ITSELF in [finding.text for finding in findings(record)]
