@@ -136,6 +136,8 @@ def modes(
     number: int | None = None,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
@@ -158,6 +160,8 @@ class CheckKeywords(TypedDict, total=False):
     mac_band: float
     solver: str | None
     units: str | None
+    subcase: int | None
+    step: int | None
     summary: StrPath | None
     junit: StrPath | None
     settings: Settings
@@ -200,6 +204,8 @@ def check(
     mac_band: float = 0.05,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     summary: StrPath | None = None,
     junit: StrPath | None = None,
     settings: Settings = (),
@@ -398,6 +404,8 @@ def expand(
     page: StrPath | None = None,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
@@ -423,6 +431,8 @@ def reduce(
     page: StrPath | None = None,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
@@ -448,6 +458,8 @@ def direct(
     page: StrPath | None = None,
     solver: str | None = None,
     units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,

@@ -210,7 +210,7 @@ def _by_shape(wanted: ModeSet, computed: ModeSet, free: Integers) -> Pairing:
     # Zero shapes far from all others fill in if there are too few modes: they resemble nothing.
     spare = max(0, wanted.n_modes - free.size)
     if spare:
-        shapes = without_rounding(among.mode_shapes)
+        shapes = without_rounding(among)
         far = 1e3 * max(among.frequencies_hz.max(), wanted.frequencies_hz.max())
         among = mode_set(
             np.concatenate([among.frequencies_hz, np.full(spare, far)]),

@@ -53,6 +53,8 @@ LOST_MAC = 0.3
 #: what a solver prints of such a motion (a roll about the line of the sensors) is rounding: 5e-7 on
 #: a beam of solids with sensors along its middle.
 AT_REST = 1e-5
+#: The same share for modes of unknown scale.
+ROUNDING = 1e-7
 #: Modes whose frequencies differ by less than this share are a cluster.
 CLUSTER = 0.015
 #: How much a relative frequency difference of 100 % weighs against a MAC of 1 as tie-break.
@@ -140,7 +142,7 @@ def pair_by_shape(
     if rows_m.size == 0:
         raise ModesError("no sensor of the test is a node of the model's results")
     shapes_m = measured.mode_shapes[rows_m]
-    shapes_c = without_rounding(computed.mode_shapes[rows_c])
+    shapes_c = without_rounding(computed.rows(rows_c))
     table = mac_or_zero(shapes_m, shapes_c)
     likeness = _likeness(table, shapes_m, shapes_c, computed.frequencies_hz)
     apart = np.abs(computed.frequencies_hz[None, :] / measured.frequencies_hz[:, None] - 1.0)
@@ -187,7 +189,7 @@ def _cluster_macs(
     """
     rows_m, rows_c = common_dofs(measured, computed)
     shapes_m = measured.mode_shapes[rows_m][:, kept]
-    shapes_c = without_rounding(computed.mode_shapes[rows_c])
+    shapes_c = without_rounding(computed.rows(rows_c))
     macs, spaces = table[kept, columns], np.zeros(kept.size)
     for pair, column in enumerate(columns.tolist()):
         cluster = shapes_c[:, close_modes(computed.frequencies_hz, column)]
@@ -302,8 +304,8 @@ def pair_by_tracking(before: Pairing, previous: ModeSet, computed: ModeSet) -> P
     """
     if computed.n_modes < before.computed.size:
         raise LostMode(f"only {computed.n_modes} elastic modes for {before.computed.size} pairs")
-    shapes_before = without_rounding(previous.mode_shapes)[:, before.computed]
-    shapes_now = without_rounding(computed.mode_shapes)
+    shapes_before = without_rounding(previous)[:, before.computed]
+    shapes_now = without_rounding(computed)
     table = mac_or_zero(shapes_before, shapes_now)
     rows, columns = least_cost(-table)
     reasons = []
@@ -367,13 +369,15 @@ def cluster_mac(shapes: Shapes, basis: Shapes) -> float:
     return float(min(np.sum(np.abs(inside) ** 2) / np.sum(np.abs(shapes) ** 2), 1.0))
 
 
-def without_rounding(shapes: Shapes) -> Shapes:
+def without_rounding(modes: ModeSet) -> Shapes:
     """Return shapes (n_dof, n_modes), zero where the mode is at rest at the sensors.
 
-    A mode of rotations alone, such as the torsion of beams on one axis, leaves noise there.
+    A mode of rotations alone, such as the torsion of beams on one axis, leaves noise there. Shapes
+    whose scale is unknown tell only rounding from motion.
     """
-    size = np.abs(shapes).max(axis=0, initial=0.0)
-    return np.where(size > AT_REST * size.max(initial=0.0), shapes, 0.0)
+    size = np.abs(modes.mode_shapes).max(axis=0, initial=0.0)
+    share = AT_REST if modes.normalisation == "mass" else ROUNDING
+    return np.where(size > share * size.max(initial=0.0), modes.mode_shapes, 0.0)
 
 
 def close_modes(frequencies_hz: Floats, mode: int, width: float = CLUSTER) -> Integers:
@@ -576,7 +580,7 @@ def _compared(
     if test.has_shapes and rows.size:
         rows_m, rows_c = common_dofs(test.modes, seen)
         shapes_m = test.modes.mode_shapes[rows_m][:, rows]
-        shapes_c = without_rounding(seen.mode_shapes[rows_c])
+        shapes_c = without_rounding(seen.rows(rows_c))
         macs = np.diagonal(mac_or_zero(shapes_m, shapes_c[:, columns])).copy()
         for pair, column in enumerate(columns.tolist()):
             cluster = shapes_c[:, close_modes(seen.frequencies_hz, column)]

@@ -56,7 +56,7 @@ from modetune.flows.updating.sensitivities import UnlikeMatrices
 logger = logging.getLogger(__name__)
 
 #: Increase this number when the same matrices give other modes.
-MODES_VERSION = 6
+MODES_VERSION = 7
 #: Number of unobservable nodes in a message.
 NAMED = 5
 T = TypeVar("T")
@@ -68,8 +68,8 @@ IN_MEMORY = 0.1
 #: The first task of a resumed campaign, on displays.
 AGAIN = "start of the search, computed again"
 #: Increase this number when the same matrices give other reduced models.
-REDUCED_VERSION = 6
-RANGE_VERSION = 4
+REDUCED_VERSION = 7
+RANGE_VERSION = 5
 #: The same for exact derivatives.
 DERIVATIVES_VERSION = 1
 
