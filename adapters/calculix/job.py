@@ -177,7 +177,7 @@ STIFFNESS, MASS = 1e-8 * SPARE_EIGENVALUE, 1e-8
 #: Elements that bring no mass.
 MASSLESS = ("SPRING", "DASHPOT", "GAP", "DCOUP")
 #: Relative distance of the eigenvalues of spare unknowns.
-APART = 0.03
+APART = 0.003
 #: Models with more nodes have unknowns enough.
 MOST_NODES = 20_000
 

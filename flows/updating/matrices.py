@@ -42,7 +42,7 @@ from modetune.flows.jobs.execution import Work
 from modetune.flows.jobs.job import Job
 
 #: Increase this number when the decomposition of the matrices changes.
-VERSION = 2
+VERSION = 3
 #: Upper triangles of stiffness and mass.
 Triangles = tuple[sparse.csr_array, sparse.csr_array]
 NOTHING = sparse.csr_array((0, 0))
