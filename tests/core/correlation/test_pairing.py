@@ -163,9 +163,13 @@ def test_a_roll_about_the_line_of_the_sensors_is_no_pair() -> None:
     measured = sines([10.0, 20.0, 30.0], [1, 2, 3])
     computed = sines([10.0, 20.0, 29.0, 40.0], [1, 2, 3, 4])
     rolls = computed.mode_shapes * np.array([1.0, 1.0, 5e-7, 1.0])
-    roll = mode_set(computed.frequencies_hz, rolls, computed.nodes, computed.components, normalisation="mass")
+    roll = mode_set(
+        computed.frequencies_hz, rolls, computed.nodes, computed.components, normalisation="mass"
+    )
     with pytest.raises(LostMode, match="the measured mode at 30 Hz"):
         pair_by_shape(measured, roll)
     small = computed.mode_shapes * np.array([1.0, 1.0, 5e-5, 1.0])
-    local = mode_set(computed.frequencies_hz, small, computed.nodes, computed.components, normalisation="mass")
+    local = mode_set(
+        computed.frequencies_hz, small, computed.nodes, computed.components, normalisation="mass"
+    )
     assert pair_by_shape(measured, local).computed.tolist() == [0, 1, 2]
