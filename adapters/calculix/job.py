@@ -176,8 +176,9 @@ FOR_A_MODE = 5
 STIFFNESS, MASS = 1e-8 * SPARE_EIGENVALUE, 1e-8
 #: Elements that bring no mass.
 MASSLESS = ("SPRING", "DASHPOT", "GAP", "DCOUP")
-#: Relative distance of the eigenvalues of spare unknowns.
-APART = 0.003
+#: Relative distance of the eigenvalues of spare unknowns. Free hinges and small frames, 63 requests
+#: in all, had all of their modes with 0.1 and 0.2, and not all with 0.03 and less.
+APART = 0.1
 #: Models with more nodes have unknowns enough.
 MOST_NODES = 20_000
 

@@ -15,7 +15,7 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.updating.job_results import ModalResult
 from tests.adapters.calculix.test_model import parameter
 from tests.adapters.solved import needs_ccx
-from tests.adapters.test_rigid_modes import STEEL, plate, solved
+from tests.adapters.test_rigid_modes import STEEL, hinged, plate, solved
 from tests.adapters.test_solver_contract import run
 
 
@@ -58,6 +58,18 @@ def test_a_string_of_five_trusses_gives_its_modes(tmp_path: Path) -> None:
     assert result.modes.n_modes == 13
     expected = 0.5 * (100.0 / 7.8e-3) ** 0.5 * np.arange(1, 4)  # k / 2 l sqrt(T / mu)
     assert result.modes.frequencies_hz[:3] == pytest.approx(expected, rel=0.03)
+
+
+@needs_ccx
+@pytest.mark.parametrize("asked", [8, 11, 13, 16, 20])
+@pytest.mark.parametrize("n_hinges", [1, 2])
+def test_free_hinges_keep_their_modes_beside_spare_ones(
+    n_hinges: int, asked: int, tmp_path: Path
+) -> None:
+    """A singular K: spare eigenvalues too large, or too near each other, hide its modes."""
+    result = solved(hinged(n_hinges), tmp_path, asked, (1,))
+    assert result.n_rigid == min(6 + n_hinges, asked)
+    assert result.modes.n_modes == asked
 
 
 def test_models_of_unknowns_enough_get_none(tmp_path: Path) -> None:
