@@ -33,6 +33,9 @@ from modetune.flows.studies.sample.surrogate import ResponseLimits
 
 #: End points are distinct peaks where the log density falls by this much between them.
 SINK = 1.0
+#: How far the straight way between two points may lead beyond a limit, as a share of what the limited
+#: value spans: surrogates of it are that rough, and two points on one limit are not divided by it.
+DIVIDES = 1e-3
 #: A peak with a smaller share of the whole is left out.
 LEAST_SHARE = 1e-3
 #: How far inside a limit peaks are, and what rises there to a thousand standard deviations beyond:
@@ -195,9 +198,11 @@ def find_peaks(
 
 
 def _is_apart(posterior: Posterior, point: Floats, height: float, other: Floats) -> bool:
-    """Whether the density sinks between a point and a higher one."""
-    steps = np.linspace(0.0, 1.0, 41)[1:-1, None]
-    between = posterior.log_density(point + steps * (other - point))
+    """Whether the density sinks between a point and a higher one, or a limit divides them."""
+    path = point + np.linspace(0.0, 1.0, 41)[1:-1, None] * (other - point)
+    if posterior.limits is not None and posterior.limits.breach(path).max() > DIVIDES:
+        return True
+    between = -0.5 * (posterior._squares(path) ** 2).sum(axis=1)
     return bool(between.min() < height - SINK)
 
 
