@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import os
 import shutil
 import signal
@@ -147,9 +148,12 @@ def _in_this_process() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def _a_closed_pipe_ends_no_process() -> Iterator[None]:
-    """SIGPIPE stays ignored: given back to the system it ends the process that runs the tests."""
+def _no_test_leaves_its_log_or_signals() -> Iterator[None]:
+    """Later tests log as this one did, and SIGPIPE stays ignored: its default ends the process."""
+    ours = logging.getLogger("modetune")
+    before = (ours.handlers[:], ours.propagate, ours.level)
     yield
+    assert (ours.handlers, ours.propagate, ours.level) == before, "modetune's logger was changed"
     lines = Path("/proc/self/status").read_text().splitlines()
     ignored = int(next(line for line in lines if line.startswith("SigIgn:")).split()[1], 16)
     assert ignored >> (signal.SIGPIPE - 1) & 1, "SIGPIPE is no longer ignored"

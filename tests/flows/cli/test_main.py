@@ -55,16 +55,15 @@ def test_the_warning_leaves_the_json_object_alone(tmp_path: Path) -> None:
 
 
 def test_too_little_memory_is_told_in_a_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def exhausted(*words: str) -> typer.Typer:
         raise MemoryError
 
     monkeypatch.setattr(main_module, "command_line", exhausted)
-    with pytest.raises(SystemExit) as ended:
-        main_module.main()
-    assert ended.value.code == 4
-    assert "ulimit -v" in capsys.readouterr().err
+    ended = run_command(tmp_path, "check", "campaign.yaml")
+    assert ended.returncode == 4
+    assert "ulimit -v" in ended.stderr
 
 
 def test_a_long_value_is_shortened_in_messages(tmp_path: Path) -> None:
