@@ -38,8 +38,6 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers
 from modetune.flows.updating.evaluation import Evaluation
 
-#: A spline that misses a point left out by this share of the values is exact.
-EXACT = 1e-9
 #: Orders of splines, and points that each term of their polynomials takes.
 ORDERS, POINTS_EACH = (1, 2, 3), 1.5
 #: Singular values below this share of a standard deviation, root mean square, move nothing.
@@ -139,8 +137,6 @@ def fit_surrogate(training: Training, lower: Floats, upper: Floats) -> Surrogate
         error = float((left_out[best] ** 2).mean())
         if error < least:
             least, taken = error, (order, factors, left_out)
-        if least <= EXACT**2 * float((training.values**2).mean()):
-            break  # a higher order would differ by rounding alone, and grow between the points
     if taken is None:
         raise CampaignError(
             "two training points are all but the same, so that nothing can be learned from them; "
@@ -230,7 +226,7 @@ def limits_of(known: Sequence[Evaluation], lower: Floats, upper: Floats) -> Resp
     if not held.any():
         return None
     names = [name for name, has in zip(known[0].residual.labels, held.tolist(), strict=True) if has]
-    sets = known[:MOST]
+    sets = list({item.theta.tobytes(): item for item in known}.values())[:MOST]  # each once
     values = [item.residual.values[np.isfinite(item.residual.limits).any(axis=1)] for item in sets]
     spans = np.ptp(values, axis=0)
     units = UNIT * np.where(spans > 0.0, spans, 1.0)
