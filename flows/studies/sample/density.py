@@ -33,8 +33,8 @@ from modetune.flows.studies.sample.surrogate import ResponseLimits
 
 #: End points are distinct peaks where the log density falls by this much between them.
 SINK = 1.0
-#: How far the straight way between two points may lead beyond a limit, as a share of what the limited
-#: value spans: surrogates of it are that rough, and two points on one limit are not divided by it.
+#: How far the straight path between two points on a limit may cross it, as a share of the span of
+#: the limited value: its surrogate is that rough.
 DIVIDES = 1e-3
 #: A peak with a smaller share of the whole is left out.
 LEAST_SHARE = 1e-3
@@ -198,7 +198,7 @@ def find_peaks(
 
 
 def _is_apart(posterior: Posterior, point: Floats, height: float, other: Floats) -> bool:
-    """Whether the density sinks between a point and a higher one, or a limit divides them."""
+    """Whether the density sinks, or a limit is crossed, between a point and a higher one."""
     path = point + np.linspace(0.0, 1.0, 41)[1:-1, None] * (other - point)
     if posterior.limits is not None and posterior.limits.breach(path).max() > DIVIDES:
         return True
