@@ -75,7 +75,7 @@ def job_text(structure: CalculixStructure, changed: dict[int, str], analysis: An
 def check_frequency_step(structure: CalculixStructure) -> list[str]:
     """What of the user's *FREQUENCY a campaign cannot keep, a sentence each.
 
-    Raises ModelError for what would give other modes than the lowest ones, or none.
+    Raises ModelError for what would give no modes.
     """
     deck = structure.deck
     notes = choice_note(deck)
@@ -93,10 +93,10 @@ def check_frequency_step(structure: CalculixStructure) -> list[str]:
         for line in card.data[:1]:
             given = [place for place, text in enumerate(structure.deck.fields(line)) if text]
             if 1 in given and structure.deck.number(line, 1) > 0.0:
-                raise ModelError(
-                    f"{structure.deck.lines[line].where}: *FREQUENCY asks for modes above "
-                    f"{structure.deck.number(line, 1):g} only, and a campaign for the lowest ones: "
-                    "leave the range out, and name the test's modes that are used by `test.use`"
+                notes.append(
+                    f"{structure.deck.lines[line].where}: the lower frequency "
+                    f"{structure.deck.number(line, 1):g} of *FREQUENCY is left out: modes are "
+                    "counted from the lowest one, as ccx does"
                 )
             if 2 in given:
                 notes.append(

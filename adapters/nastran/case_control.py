@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.nastran.fields import read_number
 from modetune.adapters.nastran.harmless import CHANGING, changing_parameter
 from modetune.adapters.solver import ModalCase
 from modetune.core.errors import ModelError
@@ -42,6 +43,12 @@ SEID = 8
 PARTS = ("SESET", "SEELT", "SEBULK", "SELOC", "CSUPER", "RELEASE")
 #: Executive statements that change what is computed in ways a job does not carry.
 DMAP = frozenset({"COMPILE", "ALTER", "ENDALTER", "LINK", "MALTER", "RESTART", "RFALTER"})
+#: Where changes to the solution sequence begin, which Nastran's own jobs carry.
+ALTERS = frozenset({"COMPILE", "MALTER"})
+#: Cards of constraint sets, by the command that selects one.
+CONSTRAINTS = {"SPC": ("SPC", "SPC1", "SPCADD"), "MPC": ("MPC", "MPCADD")}
+#: Field of the lower frequency of a METHOD's card.
+LOWEST = {"EIGRL": 2, "EIGR": 3}
 #: Files that an ASSIGN may bring in; the others are for output.
 INPUT_FILES = ("INPUTT2", "INPUTT4", "USRSOU", "MATPOOL")
 #: Executive statements that stay.
@@ -115,6 +122,11 @@ class CaseControl:
         found = (re.fullmatch(r"K2GG\s*=\s*(.*)", s, re.IGNORECASE) for s in self.selections)
         return next((match.group(1).strip().upper() for match in found if match), "")
 
+    def without(self, absent: Iterable[str]) -> CaseControl:
+        """Return the case control without these selections."""
+        kept = tuple(text for text in self.selections if text.upper() not in absent)
+        return replace(self, selections=kept)
+
     def selected(self, name: str) -> int:
         """The set that a selection names (SPC, MPC), 0 where there is none."""
         for text in self.selections:
@@ -146,10 +158,15 @@ def _statement(text: str, where: str) -> Statement:
     return Statement(name.group().upper() if name else "", text, where)
 
 
-def system_statements(deck: NastranDeck) -> list[str]:
-    """NASTRAN statements and their like. Raises ModelError for what a job cannot carry."""
-    kept, problems = [], []
-    for statement in read_statements(deck, deck.executive):
+def system_statements(deck: NastranDeck, native: bool = True) -> list[str]:
+    """NASTRAN statements and their like. Raises ModelError for what a job cannot carry.
+
+    native: whether a Nastran's job it is, which carries the deck's `alters`.
+    """
+    kept, problems = [], list[str]()
+    carried = alters(deck) if native else []
+    rest = [position for position in deck.executive if position not in carried]
+    for statement in read_statements(deck, rest):
         if statement.name in SYSTEM:
             kept.append(statement.text)
         elif statement.name in DMAP:
@@ -165,6 +182,17 @@ def system_statements(deck: NastranDeck) -> list[str]:
     if problems:
         raise ModelError("\n".join(problems))
     return kept
+
+
+def alters(deck: NastranDeck) -> list[int]:
+    """Return the positions of COMPILE and MALTER statements and what belongs to each."""
+    found, inside = list[int](), False
+    for position in deck.executive:
+        word = _statement(deck.lines[position].text.strip(), "").name
+        inside = (inside or word in ALTERS) and word not in ("SOL", "CEND")
+        found += [position] if inside else []
+        inside = inside and word != "ENDALTER"
+    return found
 
 
 def _brings_in(text: str) -> bool:
@@ -208,6 +236,16 @@ def read_case_control(deck: NastranDeck) -> CaseControl:
         parameters,
         _number(methods[-1]) if methods else 0,
     )
+
+
+def absent_sets(deck: NastranDeck, case: CaseControl) -> list[str]:
+    """Return the selections of SPC and MPC sets that the deck does not have."""
+    return [
+        f"{name} = {number}"
+        for name in ("SPC", "MPC")
+        if (number := case.selected(name))
+        and str(number) not in {card.text(1) for card in deck.named(*CONSTRAINTS[name])}
+    ]
 
 
 def _whole(deck: NastranDeck, statement: Statement) -> bool:
@@ -282,6 +320,20 @@ def choice_note(deck: NastranDeck) -> str:
         for item in cases
         if item.default
     )
+
+
+def range_note(deck: NastranDeck) -> str:
+    """Return what a lower frequency of the selected EIGRL or EIGR means here; empty without one."""
+    method = read_case_control(deck).method
+    for card in deck.named("EIGRL", "EIGR"):
+        lowest = card.text(LOWEST[card.name])
+        if card.text(1) == str(method) and lowest[:1] not in ("", "-") and read_number(lowest):
+            return (
+                f"{deck.where(card)}: the lower frequency {lowest} of {card.name} is left out: "
+                "modes are counted from the lowest one, also where the deck's own run has others "
+                "first"
+            )
+    return ""
 
 
 def _has_method(statements: list[Statement]) -> bool:

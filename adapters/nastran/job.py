@@ -15,6 +15,8 @@ from functools import cache, partial
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
+    absent_sets,
+    alters,
     read_case_control,
     system_statements,
 )
@@ -66,11 +68,14 @@ def job_text(
         raise ModelError("MYSTRAN gives no sensitivities")
     case = read_case_control(model.deck)
     own = dialect.name == "mystran"
+    if own:  # which breaks off where Nastran warns
+        case = case.without(absent_sets(model.deck, case))
     n_modes = LEAST_MODES if isinstance(analysis, MatrixAnalysis) else analysis.n_modes
     lines = [
-        *system_statements(model.deck),
+        *system_statements(model.deck, native=not own),
         *([KEEP] if matrices else []),
         "SOL 200" if isinstance(analysis, SensitivityAnalysis) else "SOL 103",
+        *([] if own else [model.deck.lines[position].text for position in alters(model.deck)]),
         "CEND",
         "ECHO = NONE",
         *(text for text in case.selections if not (own and text.upper().startswith("TEMP"))),

@@ -15,6 +15,7 @@ from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, re
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
+    absent_sets,
     chosen_statements,
     read_case_control,
 )
@@ -124,6 +125,10 @@ class NastranModel(Deck):
         names |= {card.text(1) for card in deck.named("PARAM")}
         texts = [f"{count} {name}" for name, count in sorted(counts.items())]
         texts += [f"PARAM {name}" for name in sorted(names - OWN_PARAMETERS - FOLLOWED_PARAMETERS)]
+        texts += [
+            f"`{text}` of the case control, a set that the deck does not have"
+            for text in absent_sets(deck, case)
+        ]
         if texts:
             logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
 

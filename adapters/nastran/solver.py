@@ -12,7 +12,7 @@ from pathlib import Path
 
 from modetune.adapters.cross_checks import without_spare
 from modetune.adapters.licence import licence_refusal
-from modetune.adapters.nastran.case_control import choice_note
+from modetune.adapters.nastran.case_control import choice_note, range_note
 from modetune.adapters.nastran.deck import read_deck, with_lines
 from modetune.adapters.nastran.design import mode_derivatives, read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
@@ -219,7 +219,7 @@ def _solver(
     deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect, subcase: int
 ) -> Solver:
     model = understand(read_deck(deck, subcase), parameters)
-    if note := choice_note(model.deck):
+    for note in filter(None, (choice_note(model.deck), range_note(model.deck))):
         logger.warning("%s", note)
     if dialect.name == "mystran":
         model.check()

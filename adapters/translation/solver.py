@@ -24,7 +24,12 @@ from modetune.adapters.calculix.structure import WITHOUT_ENERGY, understand
 from modetune.adapters.damping import NOTHING, damps_only
 from modetune.adapters.nastran import model as nastran_model
 from modetune.adapters.nastran.bulk import Bulk, edited_bulk, read_bulk
-from modetune.adapters.nastran.case_control import choice_note, read_case_control
+from modetune.adapters.nastran.case_control import (
+    absent_sets,
+    choice_note,
+    range_note,
+    read_case_control,
+)
 from modetune.adapters.nastran.deck import read_deck
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.solver import AffectedElements, ModelSummary, Solver
@@ -218,6 +223,7 @@ class TranslatedDeck(NastranModel):
         """Return the text with some lines of the deck changed. Raises ModelError."""
         stem = self.deck.file.stem
         case = read_case_control(self.deck)
+        case = case.without(absent_sets(self.deck, case))
         own = self._bulk if changed else self.bulk
         with self._own, edited_bulk(self.deck, own, changed) as bulk:
             translation = translate(
@@ -254,7 +260,7 @@ class TranslatedDeck(NastranModel):
 def translated_solver(deck: Path, parameters: tuple[Parameter, ...], subcase: int = 0) -> Solver:
     """Return CalculiX for a Nastran deck. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck, subcase), parameters)
-    if note := choice_note(model.deck):
+    for note in filter(None, (choice_note(model.deck), range_note(model.deck))):
         logger.warning("%s", note)
     model.check()
     translated = TranslatedDeck(model.structure, model.objections, model.parameters)

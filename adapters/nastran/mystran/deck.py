@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -38,6 +39,8 @@ TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
 PAIR_OF_LINES = 8
 #: Cards of which MYSTRAN reads the last odd line past the places that it has for it.
 COUNTED = ("MPC", "RBE3")
+#: Real numbers by their exponent alone: MYSTRAN requires the point that Nastran does without.
+POINTLESS = re.compile(r"^([+-]?\d+)((?:[ED][+-]?|[+-])\d+)$", re.IGNORECASE)
 #: Difference of direction cosines by which output frames differ: the digits of a card.
 SAME_FRAME = 1e-6
 #: Fields of an EIGRL card: its number, and the shift of the first factorisation.
@@ -116,7 +119,10 @@ def mystran_cards(
         )
     if n_modes:
         cards += scalars.spare(n_modes)
-    return [large_field(name, _paired(name, fields)) for name, fields in cards]
+    return [
+        large_field(name, _paired(name, [POINTLESS.sub(r"\1.\2", text) for text in fields]))
+        for name, fields in cards
+    ]
 
 
 def _paired(name: str, fields: list[str]) -> list[str]:

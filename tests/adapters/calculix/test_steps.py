@@ -91,6 +91,22 @@ def test_modes_of_each_step_are_those_of_the_authors_deck(name: str, tmp_path: P
 
 
 @needs_ccx
+def test_modes_below_a_lower_frequency_keep_their_numbers(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """ccx itself prints the modes 4 to 6 of six for this range, by these numbers."""
+    path = tmp_path / "beam.inp"
+    path.write_text(BEAM + FREE.replace("4\n*NODE", "6, 100.\n*NODE"))
+    (above,) = ccx_tables(tmp_path, path.read_text())
+    assert len(above) == 3
+    with caplog.at_level(logging.WARNING):
+        found = result_of(calculix_solver(path, ()), ModalAnalysis(6, (41,)), tmp_path / "job")
+    np.testing.assert_allclose(found.eigenvalues[3:], above, rtol=2e-6)
+    assert (found.eigenvalues[:3] < (2.0 * np.pi * 100.0) ** 2).all()
+    assert "line 71: the lower frequency 100 of *FREQUENCY is left out" in caplog.text
+
+
+@needs_ccx
 def test_a_preload_moves_the_modes_and_is_reported_of_its_step_alone(tmp_path: Path) -> None:
     path = tmp_path / "beam.inp"
     path.write_text(BEAM + FREE + TENSION + LOADED)

@@ -159,10 +159,31 @@ def test_system_cells_stay_and_what_a_job_cannot_carry_is_refused_all_at_once(
     assert text.startswith("NASTRAN SYSTEM(151)=1,\n  BUFFSIZE=65537\nSOL 103\n")
     bad = "ASSIGN INPUTT2='loads.op2',UNIT=13\n" + HEAD.replace("CEND", "COMPILE SEMODES\nCEND")
     with pytest.raises(ModelError) as caught:
-        job(tmp_path, bad + BULK)
+        job(tmp_path, bad + BULK, dialect=MYSTRAN)
     message = str(caught.value)
     assert f"{tmp_path / 'truss.bdf'}, line 1: the model takes data from another file" in message
     assert "line 3: COMPILE changes the solution sequence" in message
+    with pytest.raises(ModelError, match="line 1: LINK changes the solution sequence"):
+        job(tmp_path, "LINK 'x.exe'\n" + HEAD + BULK)
+
+
+def test_nastran_itself_judges_a_set_that_is_not_there(tmp_path: Path) -> None:
+    head = HEAD.replace("SPC = 1", "SPC = 1\nMPC = 7")
+    assert job(tmp_path, head + BULK) == job(tmp_path).replace("SPC = 1", "SPC = 1\nMPC = 7")
+    assert job(tmp_path, head + BULK, dialect=MYSTRAN) == job(tmp_path, dialect=MYSTRAN)
+
+
+@pytest.mark.parametrize("first", ["COMPILE SEMODES SOUIN=MSCSOU", "MALTER 'MODES'"])
+def test_a_nastran_job_carries_the_alters_of_the_deck_behind_its_own_solution(
+    first: str, tmp_path: Path
+) -> None:
+    alters = f"{first} $ as written\nALTER 'READ.*KXX'(1,-1)\nMATPRN KGG// $\nENDALTER\n"
+    before = job(tmp_path, alters + "TIME 10\n" + HEAD + BULK)
+    behind = job(tmp_path, HEAD.replace("CEND\n", alters + "TIME 10\nCEND\n") + BULK)
+    assert before == behind == job(tmp_path).replace("CEND\n", alters + "CEND\n")
+    without_end = alters.replace("ENDALTER\n", "")
+    text = job(tmp_path, HEAD.replace("CEND\n", without_end + "CEND\n") + BULK)
+    assert text == job(tmp_path).replace("CEND\n", without_end + "CEND\n")
 
 
 @pytest.mark.parametrize(

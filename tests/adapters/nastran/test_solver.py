@@ -724,5 +724,6 @@ def test_mystran_gives_the_closed_form_and_follows_the_parameters(mystran: Mystr
 
 
 def test_mystran_refuses_what_its_error_file_says(mystran: Mystran) -> None:
-    with pytest.raises(SolverRejected, match=r"\*ERROR +1006: NO SPC ENTRY WAS FOUND"):
-        mystran(ModalAnalysis(2, (1,)), {}, deck().replace("SPC = 1", "SPC = 9"))
+    text = deck().replace("SPC = 1", "SPC = 9").replace("BULK\n", "BULK\nSPCADD,9,1,44\n")
+    with pytest.raises(SolverRejected, match=r"\*ERROR +1018: MISSING SPC OR SPC1 ENTRY"):
+        mystran(ModalAnalysis(2, (1,)), {}, text)
