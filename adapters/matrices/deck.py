@@ -11,7 +11,8 @@ In a spring-mass system each mass is one unknown: component x of node 1, 2, ... 
       h2: {between: [m1, m2], structural: 10.0}  # imaginary part of a stiffness
 
 With matrix files (forms: `matrix_files.py`), unknown i is component x of node i unless `dofs`
-names a text file with a `node.component` on each line.
+names a text file with a `node.component` on each line, or a matrix is a DMIG: its unknowns have
+names, and those of all DMIG together, ascending, are the model's.
 
     stiffness: K.mtx
     mass: M.mtx
@@ -35,7 +36,14 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.deck_numbers import Number
-from modetune.adapters.matrices.matrix_files import read_matrices, split_reference, write_matrix
+from modetune.adapters.matrices.dmig import Terms, rewrite_dmig, united
+from modetune.adapters.matrices.matrix_files import (
+    is_dmig,
+    read_matrices,
+    read_terms,
+    split_reference,
+    write_matrix,
+)
 from modetune.adapters.matrices.model import MATRIX_KINDS, Factors, MatrixModel, MatrixPart
 from modetune.adapters.regular_file import read_regular
 from modetune.adapters.solver import Deck, ModelSummary
@@ -208,7 +216,20 @@ def read_index(file: YamlFile) -> MatrixModel:
     Raises ModelError with every problem and its line.
     """
     problems: list[str] = []
-    matrices = dict(_matrices(file, problems))
+    places = _places(file, problems)
+    references = [str(file.at(place)) for place in places]
+    dmig = read_terms(file.path.parent, references)
+    names = _dofs(file, problems)
+    terms = [item for item in dmig.values() if isinstance(item, Terms)]
+    if names is None and terms:
+        names = united(terms)
+    read = read_matrices(file.path.parent, references, dmig, names)
+    matrices: dict[Place, sparse.csr_array] = {}
+    for place, matrix in zip(places, read, strict=True):
+        if isinstance(matrix, ModelError):
+            problems.append(f"{file.where(place)}: {matrix}")
+        else:
+            matrices[place] = matrix
     stiffness, mass = matrices.get(("stiffness",)), matrices.get(("mass",))
     if stiffness is None or mass is None or problems:
         raise ModelError("\n".join(problems))
@@ -219,21 +240,25 @@ def read_index(file: YamlFile) -> MatrixModel:
         for place, matrix in matrices.items()
         if matrix.shape != stiffness.shape
     ]
-    nodes, components = _dofs(file, size, problems)
-    names = dict.fromkeys(str(place[1]) for place in matrices if place[0] == "parts")
+    if names is None:
+        names = np.column_stack([np.arange(1, size + 1), np.ones(size, dtype=np.int64)])
+    elif len(names) != size:
+        whose = file.path.parent / str(file.data["dofs"]) if "dofs" in file.data else "the DMIG"
+        problems.append(f"{whose} names {len(names)} unknowns for matrices of {size}")
+    part_names = dict.fromkeys(str(place[1]) for place in matrices if place[0] == "parts")
     if problems:
         raise ModelError("\n".join(problems))
     parts = {
         name: MatrixPart(
             "matrix_factor", 1.0, *(matrices.get(("parts", name, kind)) for kind in MATRIX_KINDS)
         )
-        for name in names
+        for name in part_names
     }
-    return MatrixModel(file.path.stem, stiffness, mass, nodes, components, parts)
+    return MatrixModel(file.path.stem, stiffness, mass, names[:, 0], names[:, 1], parts)
 
 
-def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.csr_array]]:
-    """Return place and matrix of everything the file names."""
+def _places(file: YamlFile, problems: list[str]) -> list[Place]:
+    """Return the places of all references in the file."""
     places: list[Place] = [("stiffness",), ("mass",)]
     for name in file.entries(("parts",), problems) if "parts" in file.data else {}:
         given = file.entries(("parts", name), problems)
@@ -244,26 +269,19 @@ def _matrices(file: YamlFile, problems: list[str]) -> list[tuple[Place, sparse.c
             )
             continue
         places += [("parts", name, kind) for kind in given]
-    references = [str(file.at(place)) for place in places]
-    found = []
-    for place, matrix in zip(places, read_matrices(file.path.parent, references), strict=True):
-        if isinstance(matrix, ModelError):
-            problems.append(f"{file.where(place)}: {matrix}")
-        else:
-            found.append((place, matrix))
-    return found
+    return places
 
 
-def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Integers]:
-    """Return node and component of each unknown."""
+def _dofs(file: YamlFile, problems: list[str]) -> Integers | None:
+    """Return node and component of each unknown (n, 2), as a text file names them; None without."""
     if "dofs" not in file.data:
-        return np.arange(1, size + 1, dtype=np.int64), np.ones(size, dtype=np.int64)
+        return None
     path = file.path.parent / str(file.data["dofs"])
     try:
         lines = read_regular(path).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         problems.append(f"{file.where(('dofs',))}: {path} cannot be read: {error}")
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return None
     found: dict[tuple[int, int], int] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -279,11 +297,7 @@ def _dofs(file: YamlFile, size: int, problems: list[str]) -> tuple[Integers, Int
             problems.append(f"{path}, line {number}: {line.strip()} occurs twice")
             break
         found[(int(node), int(axis))] = number
-    else:
-        if len(found) != size:
-            problems.append(f"{path} names {len(found)} unknowns for matrices of {size}")
-    names = np.array(list(found), dtype=np.int64).reshape(-1, 2)
-    return names[:, 0], names[:, 1]
+    return np.array(list(found), dtype=np.int64).reshape(-1, 2)
 
 
 def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Path) -> str:
@@ -297,12 +311,21 @@ def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Pa
     within = _below(file, [*new, ("dofs",)] if "dofs" in file.data else list(new), words)
     for name in {split_reference(reference)[0] for reference in within.values()}:
         (folder / name).unlink(missing_ok=True)  # of an earlier run
+    names = np.column_stack([model.nodes, model.components])
+    dmig: dict[tuple[str, str], dict[str, sparse.csr_array]] = {}
     for place, matrix in new.items():
-        write_matrix(folder, within[place], matrix)
+        target, name = split_reference(within[place])
+        if is_dmig(within[place]):
+            source = split_reference(str(file.at(place)))[0]
+            dmig.setdefault((source, target), {})[name.upper()] = matrix
+        else:
+            write_matrix(folder, within[place], matrix)
+    for (source, target), matrices in dmig.items():
+        rewrite_dmig(file.path.parent / source, folder / target, matrices, names)
     if "dofs" in file.data:
-        target = folder / within[("dofs",)]
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes((file.path.parent / str(file.data["dofs"])).read_bytes())
+        listing = folder / within[("dofs",)]
+        listing.parent.mkdir(parents=True, exist_ok=True)
+        listing.write_bytes((file.path.parent / str(file.data["dofs"])).read_bytes())
     return file.replaced(words)
 
 

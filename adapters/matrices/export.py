@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from modetune.adapters.matrices.dmig import dmig_lines
 from modetune.adapters.matrices.matrix_files import op4_lines, write_matrix
-from modetune.adapters.nastran.fields import format_number
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats, Integers, dof_name
 from modetune.core.storage.files import check_writable, storage_errors, writing
@@ -90,10 +90,7 @@ def write_matrices(path: Path, found: WrittenMatrices) -> tuple[Path, ...]:
 
 
 def _bulk(found: WrittenMatrices) -> list[str]:
-    """Return scalar points, and each matrix as a header and the columns of its lower triangle.
-
-    Of symmetric matrices either half is given; an entry and its mirror image would be an error.
-    """
+    """Return the lines of scalar points and matrices."""
     lines = [f"$ {line}" for line in found.comments]
     lines += [f"$ case control: K2GG = {STIFFNESS}, M2GG = {MASS}; the GRIDs are the deck's own"]
     scalar = found.nodes.size - found.n_scalar
@@ -102,14 +99,5 @@ def _bulk(found: WrittenMatrices) -> list[str]:
     components[scalar:] = 0
     names = list(zip(found.nodes.tolist(), components.tolist(), strict=True))
     for name, matrix in ((STIFFNESS, found.stiffness), (MASS, found.mass)):
-        lines.append(f"DMIG    {name:8s}{0:8d}{6:8d}{2:8d}{0:8d}")
-        for column, (node, component) in enumerate(names):
-            rows = column + np.flatnonzero(matrix[column:, column])
-            if rows.size:
-                lines.append(f"{'DMIG*':8s}{name:16s}{node:16d}{component:16d}")
-            lines += [
-                f"{'*':8s}{names[row][0]:16d}{names[row][1]:16d}"
-                f"{format_number(float(matrix[row, column]), 16):>16s}"
-                for row in rows.tolist()
-            ]
+        lines += dmig_lines(name, matrix, names)
     return lines

@@ -1,4 +1,4 @@
-"""Files of real symmetric matrices: Matrix Market, SciPy's npz, HDF5 and Nastran's OUTPUT4.
+"""Files of real symmetric matrices: Matrix Market, SciPy's npz, HDF5, Nastran's OUTPUT4 and DMIG.
 
     FILE.mtx            Matrix Market, coordinate or array, general or symmetric
     FILE.npz            scipy.sparse.save_npz; pickled objects are never read
@@ -6,6 +6,7 @@
                         CSR matrix (n, n) with both triangles
     FILE.op4:NAME       a matrix of an OUTPUT4 file, text or binary; NAME may be left out if the
                         file has only one
+    FILE.pch:NAME       a DMIG of a punch file or deck (`dmig.py`)
 
 Models and the functions here refer to a matrix by such a name.
 
@@ -32,7 +33,7 @@ from __future__ import annotations
 import io
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,11 @@ import scipy.io
 from scipy import sparse
 
 from modetune.adapters.hdf5_reader import CSR, DEFLATE, read_hdf5
+from modetune.adapters.matrices.dmig import BULK, Terms, arranged, one_of, read_dmig, united
 from modetune.adapters.regular_file import largest, open_regular, read_regular
 from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import ModelError
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
 
 HDF5, OP4 = (".h5", ".hdf5"), ".op4"
@@ -59,34 +61,77 @@ NO_ARRAYS = (
 def split_reference(reference: str) -> tuple[str, str]:
     """Return file and dataset of a reference; the dataset is empty where the file is the matrix."""
     file, separator, name = reference.rpartition(":")
-    if separator and Path(file).suffix.lower() in (*HDF5, OP4):
+    if separator and Path(file).suffix.lower() in (*HDF5, OP4, *BULK):
         return file, name
     return reference, ""
 
 
-def read_matrices(folder: Path, references: Sequence[str]) -> list[sparse.csr_array | ModelError]:
+def is_dmig(reference: str) -> bool:
+    """Whether a reference names a DMIG, whose rows have names."""
+    return Path(split_reference(reference)[0]).suffix.lower() in BULK
+
+
+def read_terms(folder: Path, references: Iterable[str]) -> dict[str, Terms | ModelError]:
+    """Return the DMIG among references, or why one cannot be read. A file is read once."""
+    files: dict[str, list[tuple[str, str]]] = {}
+    for reference in filter(is_dmig, references):
+        file, name = split_reference(reference)
+        files.setdefault(file, []).append((reference, name))
+    found: dict[str, Terms | ModelError] = {}
+    for file, named in files.items():
+        path, there = folder / file, dict[str, Terms | None]()
+        try:
+            there = read_dmig(path)
+        except ModelError as error:
+            found.update({reference: error for reference, _ in named})
+            continue
+        for reference, name in named:
+            try:
+                found[reference] = one_of(there, path, name)
+            except ModelError as error:
+                found[reference] = error
+    return found
+
+
+def read_matrices(
+    folder: Path,
+    references: Sequence[str],
+    dmig: Mapping[str, Terms | ModelError] | None = None,
+    names: Integers | None = None,
+) -> list[sparse.csr_array | ModelError]:
     """Return the matrices of references, relative to a folder, each (n, n), both triangles.
 
     An error in place of one that cannot be read, or is not real, square, finite and symmetric. An
-    HDF5 file is opened once for all of its datasets.
+    HDF5 file is opened once for all of its datasets. dmig: the DMIG among them, where they are read
+    already; names: of their unknowns (n, 2), by default all of theirs, ascending.
     """
+    terms = read_terms(folder, references) if dmig is None else dmig
+    rows = names
+    if rows is None and (read := [item for item in terms.values() if isinstance(item, Terms)]):
+        rows = united(read)
     datasets: dict[str, list[str]] = {}
     for file, name in map(split_reference, references):
         if name and Path(file).suffix.lower() in HDF5:
             datasets.setdefault(file, []).append(name)
     stored: dict[tuple[str, str], dict[str, Floats] | ModelError] = {}
-    for file, names in datasets.items():
+    for file, own_names in datasets.items():
         try:
             open_regular(folder / file).close()
         except OSError as error:
             problem = ModelError(f"{folder / file} cannot be read: {error.strerror}")
-            stored.update({(file, name): problem for name in names})
+            stored.update({(file, name): problem for name in own_names})
             continue
-        read = read_hdf5(folder / file, names)
-        stored.update({(file, name): arrays for name, arrays in read.items()})
+        arrays_of = read_hdf5(folder / file, own_names)
+        stored.update({(file, name): arrays for name, arrays in arrays_of.items()})
     found: list[sparse.csr_array | ModelError] = []
     for reference in references:
         try:
+            own = terms.get(reference)
+            if isinstance(own, ModelError):
+                raise own
+            if own is not None and rows is not None:
+                found.append(symmetric_matrix(arranged(own, rows), f"matrix {reference}"))
+                continue
             found.append(_checked(folder, reference, stored.get(split_reference(reference))))
         except ModelError as error:
             found.append(error)
@@ -115,8 +160,8 @@ def _read(path: Path, reference: str) -> Any:
     suffix = path.suffix.lower()
     if suffix not in (".mtx", ".npz", OP4):
         raise ModelError(
-            f"{reference}: a matrix is FILE.mtx, FILE.npz, FILE.op4:NAME or FILE.h5:NAME, NAME "
-            "the dataset"
+            f"{reference}: a matrix is FILE.mtx, FILE.npz, FILE.op4:NAME, FILE.pch:NAME (DMIG) or "
+            "FILE.h5:NAME, NAME the dataset"
         )
     if suffix == ".mtx":
         return read_market(path)

@@ -187,7 +187,7 @@ def test_unknowns_are_nodes_in_order_where_nothing_names_them(index: Path) -> No
     ("old", "new", "expected"),
     [
         ("K.mtx", "none.mtx", r"line 1: .*none\.mtx cannot be read"),
-        ("K.mtx", "K.txt", r"a matrix is FILE\.mtx, FILE\.npz, FILE\.op4:NAME or FILE\.h5:NAME"),
+        ("K.mtx", "K.txt", r"a matrix is FILE\.mtx, FILE\.npz, FILE\.op4:NAME, FILE\.pch"),
         ("model.h5:whole/M", "model.h5", "NAME the dataset"),
         ("model.h5:whole/M", "model.h5:whole/N", "has no dataset or group 'whole/N'"),
         ("model.h5:whole/M", "model.h5:whole", "holds no matrix"),
