@@ -20,7 +20,7 @@ from modetune.adapters.deck_numbers import Number, refusals
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.algebra.rigid_modes import RigidByHand, count_rigid_modes
 from modetune.core.errors import ModelError
-from modetune.core.mesh import Mesh, shortest_length
+from modetune.core.mesh import NOTHING_FIXED, Fixed, Mesh, shortest_length
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
 from modetune.core.storage.keys import Json
@@ -370,6 +370,10 @@ class Deck(Protocol):
     def masses(self) -> MassKind:
         """Which masses the deck asks for."""
         return ""
+
+    def fixed(self) -> Fixed:
+        """Return the components that cannot move, by node, as far as the deck says so."""
+        return NOTHING_FIXED
 
     def preload(self) -> str:
         """What of the deck makes the stiffness depend on a state that is solved for first.

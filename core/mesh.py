@@ -39,6 +39,9 @@ NODES: dict[CellKind, int] = {
     **CORNERS, "line3": 3, "triangle6": 6, "quad8": 8, "tetra10": 10, "pyramid13": 13,
     "wedge15": 15, "hexahedron20": 20,
 }  # fmt: skip
+#: Components 1..6 that cannot move, by node, in the axes of the node's results.
+Fixed = Mapping[int, frozenset[int]]
+NOTHING_FIXED: Fixed = {}
 #: In how many directions cells extend, 3 where none is named, and what part of a box of that
 #: spread those that are no boxes fill.
 DIMENSIONS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}

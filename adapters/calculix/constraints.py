@@ -8,6 +8,7 @@ from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_nu
 from modetune.adapters.calculix.steps import modal_step, read_steps
 from modetune.adapters.calculix.structure import NOT_FOLLOWED, CalculixStructure
 from modetune.core.errors import ModelError
+from modetune.core.mesh import Fixed
 
 #: A node and a component, 1..3 translations, 4..6 rotations.
 Dof = tuple[int, int]
@@ -57,6 +58,25 @@ def read_constraints(structure: CalculixStructure) -> Constraints:
         ),
         followed=followed,
     )
+
+
+def fixed_components(structure: CalculixStructure) -> Fixed:
+    """Return the components that *BOUNDARY holds, by node, in global axes.
+
+    Of a turned node only all three translations together count. Empty where a number is none.
+    """
+    try:
+        ties = read_constraints(structure)
+    except ModelError:
+        return {}
+    found: dict[int, set[int]] = {}
+    for node, component in ties.held:
+        found.setdefault(node, set()).add(component)
+    return {
+        node: frozenset(components)
+        for node, components in found.items()
+        if node not in ties.turned or components >= {1, 2, 3}
+    }
 
 
 def node_sets(structure: CalculixStructure) -> dict[str, set[int]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_of
+from modetune.adapters.calculix.constraints import fixed_components
 from modetune.adapters.calculix.damping import damped_materials, dampers
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number, write_edited
 from modetune.adapters.calculix.loads import load_case
@@ -24,7 +25,7 @@ from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Targe
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
-from modetune.core.mesh import Mesh, cell_sizes
+from modetune.core.mesh import Fixed, Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import DAMPING, Parameter, TargetKind, Values, assigned, driven_by
 from modetune.core.updating.damping_model import DampingModel
@@ -139,6 +140,9 @@ class CalculixModel(Deck):
             and degree(item.expression or "0") < 2
             for item in (parameter, *driven_by(parameter, self.parameters))
         )
+
+    def fixed(self) -> Fixed:
+        return fixed_components(self.structure)
 
     def preload(self) -> str:
         return self.structure.preload()

@@ -19,6 +19,7 @@ from modetune.adapters.nastran.case_control import (
     chosen_statements,
     read_case_control,
 )
+from modetune.adapters.nastran.constraints import fixed_components
 from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import NastranDeck, with_lines, write_edited
 from modetune.adapters.nastran.design_variables import read_design
@@ -59,7 +60,7 @@ from modetune.adapters.solver import (
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
-from modetune.core.mesh import Mesh
+from modetune.core.mesh import Fixed, Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import DAMPING, Parameter, Values, assigned, driven_by
 from modetune.core.updating.damping_model import DampingModel
@@ -181,6 +182,15 @@ class NastranModel(Deck):
             if card.text(1) == "WTMASS":
                 return self.structure.deck.number(card, 2) or 1.0
         return 1.0
+
+    def fixed(self) -> Fixed:
+        try:
+            case = read_case_control(self.deck)
+        except ModelError:  # which no job can be written of
+            return {}
+        lost = {item.name for item in self.objections} | {c[0] for c in self.bulk.reject_cards}
+        whole = lost <= HARMLESS and not self.deck.named("DMIG")
+        return fixed_components(self.bulk, case.selected("SPC"), case.selected("MPC"), whole)
 
     def design(self) -> DesignModel:
         return read_design(self.structure)

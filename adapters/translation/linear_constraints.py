@@ -16,6 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from modetune.adapters.nastran.constraints import (
+    component_numbers,
+    constraint_cards,
+    held_components,
+)
 from modetune.adapters.translation.assembly import Form, Freedoms, difference, total
 from modetune.adapters.translation.shells import Edges
 from modetune.core.modes import Floats
@@ -44,7 +49,7 @@ def translate_rigid_elements(
         elif element.type == "RBAR":
             _bar(freedoms, edges, element, problems)
         elif element.type == "RBAR1":
-            components = _digits(element.cb)
+            components = component_numbers(element.cb)
             _rigid(freedoms, edges, element.ga, [element.gb], components, f"RBAR1 {element.eid}")
         elif element.type == "RBE1":
             _body(freedoms, element, *_components_of(element), problems)
@@ -117,14 +122,16 @@ def _components_of(element: Any) -> tuple[list[Component], list[Component]]:
         ends = (element.ga, element.gb)
         pairs = zip(ends, (element.cna, element.cnb), strict=True)
         dependent = list(zip(ends, (element.cma, element.cmb), strict=True))
-        if not any(_digits(components) for _, components in dependent):
+        if not any(component_numbers(components) for _, components in dependent):
             given = dict(zip(ends, (element.cna, element.cnb), strict=True))
             dependent = [
                 (node, "".join(c for c in "123456" if c not in str(given[node] or "")))
                 for node in ends
             ]
-    first = [(node, digit) for node, components in pairs for digit in _digits(components)]
-    second = [(node, digit) for node, components in dependent for digit in _digits(components)]
+    first = [(node, digit) for node, components in pairs for digit in component_numbers(components)]
+    second = [
+        (node, digit) for node, components in dependent for digit in component_numbers(components)
+    ]
     return first, second
 
 
@@ -277,7 +284,7 @@ def _write_interpolation(
     elsewhere = [
         freedom
         for other, components in zip(element.Gmi, element.Cmi, strict=True)
-        for component in _digits(components)
+        for component in component_numbers(components)
         for freedom in freedoms.form(other, component)
     ]
     if rows:
@@ -292,17 +299,9 @@ def translate_spcs(
     A midside node that the bulk data does not have is fixed as both its corners are, on the border
     of the shells; within them only where both are clamped. spc: 0 for none.
     """
-    fixed = {number: set(_digits(grid.ps)) for number, grid in bulk.nodes.items() if grid.ps}
+    fixed = held_components(bulk, spc)
     for card in _selected(bulk, "spc", spc, problems):
-        if card.type == "SPC1":
-            # Nastran passes over the gaps of a THRU range; a card of no grid points is a mistake.
-            there = [node for node in card.node_ids if node in freedoms.builder.coordinates]
-            for node in there or card.node_ids:
-                fixed.setdefault(node, set()).update(_digits(card.components))
-        elif card.type == "SPC":
-            for node, components in zip(card.node_ids, card.components, strict=True):
-                fixed.setdefault(node, set()).update(_digits(components))
-        else:
+        if card.type not in ("SPC", "SPC1"):
             problems.append(f"{card.type} of set {card.conid}: not translated")
     for edge, middle in edges.middles.items():
         if middle in edges.made and edge[0] in fixed and edge[1] in fixed:
@@ -342,21 +341,12 @@ def translate_mpcs(bulk: Any, freedoms: Freedoms, mpc: int, problems: list[str])
 
 def _selected(bulk: Any, kind: str, number: int, problems: list[str]) -> list[Any]:
     """Return cards of a constraint set, those of an ADD card in its place."""
-    if not number:
-        return []
-    added = getattr(bulk, f"{kind}adds").get(number, [])
-    sets = [inner for card in added for inner in getattr(card, f"{kind}_ids")] or [number]
-    cards = getattr(bulk, f"{kind}s")
-    missing = [inner for inner in sets if inner not in cards]
-    if missing and not added:
+    cards = constraint_cards(bulk, kind, number)
+    if number and not cards and number not in getattr(bulk, f"{kind}adds"):
         problems.append(
             f"{kind.upper()} set {number}: the case control asks for it, it is not there"
         )
-    return [card for inner in sets for card in cards.get(inner, [])]
-
-
-def _digits(components: object) -> list[int]:
-    return [int(digit) for digit in str(components) if digit in "123456"]
+    return cards
 
 
 def _common(

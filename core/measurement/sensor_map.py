@@ -106,6 +106,13 @@ def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
     )
 
 
+def nodes_within(place: Floats, mesh: Mesh, distance: float) -> Integers:
+    """Return the nodes of a mesh within a distance of a place (3,), nearest first."""
+    away = np.linalg.norm(mesh.coordinates - place, axis=1)
+    rows = np.flatnonzero(away <= distance)
+    return np.asarray(mesh.nodes[rows[np.argsort(away[rows], kind="stable")]])
+
+
 def result_directions(nodes: Integers, directions: Floats, mesh: Mesh) -> Floats:
     """Return directions (n, 3), given in global axes, in the axes of each node's results."""
     return _turned(nodes, directions, mesh, inward=True)

@@ -4,6 +4,9 @@ There are three steps, each of which can refuse the test: the test's points are 
 model's axes and length (`alignment`), each sensor takes the nearest node within a tolerance, and
 its direction is rotated into the axes of the model's results at that node. Without coordinates a
 sensor is the model's node of the same number, along the axes of that node's results.
+
+A node that cannot move in the sensor's direction, such as the grounded end of a spring under the
+structure, is passed over for the next one that can, unless the test has no motion there either.
 """
 
 from __future__ import annotations
@@ -17,9 +20,15 @@ import numpy as np
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.measurement.registration import Alignment
-from modetune.core.measurement.sensor_map import SensorMap, mean_edge, next_nodes, result_directions
-from modetune.core.mesh import Mesh
-from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet
+from modetune.core.measurement.sensor_map import (
+    SensorMap,
+    mean_edge,
+    next_nodes,
+    nodes_within,
+    result_directions,
+)
+from modetune.core.mesh import NOTHING_FIXED, Fixed, Mesh
+from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet, dof_name
 from modetune.core.near_names import suggestion
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.alignment import Laid, align_test, diagonal, unit_name
@@ -48,6 +57,11 @@ TOLERANCE = 0.02
 AS_NEAR = 0.1
 #: Number of test points of one node that are compared with each other and named in a message.
 COMPARED = 8
+#: A sensor whose direction is that of fixed components to within this part sees no motion: sensors
+#: are glued on to a few degrees.
+FREE_PART = 0.1
+#: A sensor is at rest whose motion is below this part of the largest one in every measured mode.
+AT_REST = 0.02
 #: Test points closer than this part of the tolerance have the same position.
 ONE_PLACE = 0.05
 
@@ -139,16 +153,18 @@ class MappedNode:
     """The node where a test point is read.
 
     node: 0 where there is none, for the reason in `missing`. distance: in the mesh's length, NaN
-    where unknown.
+    where unknown. passed: the nearest node where that one is fixed, else 0.
     """
 
     node: int
     distance: float = float("nan")
     missing: str = ""
     doubts: tuple[str, ...] = ()
+    passed: int = 0
 
 
-Nodes = dict[int, MappedNode]
+#: By sensor: test point and component.
+Nodes = dict[tuple[int, int], MappedNode]
 
 
 def tolerance_of(settings: SensorSection, mesh: Mesh) -> float:
@@ -166,10 +182,12 @@ def map_sensors(
     metres_per_model_length: float,
     components: frozenset[int] = frozenset(range(1, 7)),
     store: Store | None = None,
+    fixed: Fixed = NOTHING_FIXED,
 ) -> Mapping:
     """Map the sensors of a test (the degrees of freedom of `modes`) to nodes of a model.
 
     components: 1..6, those that the model's results have. store: keeps a pose that was found.
+    fixed: components that cannot move, by node.
     Raises CampaignError, all problems at once, for sensors that cannot be mapped.
     """
     if modes.n_dof > MOST:
@@ -183,7 +201,7 @@ def map_sensors(
     if lost:
         raise CampaignError(f"`match` names model node {_listed(lost)}, which has no results")
     tolerance, unit = tolerance_of(settings, mesh), unit_name(metres_per_model_length)
-    mapper = _Mapper(modes, mesh, settings, components, match, tolerance, unit)
+    mapper = _Mapper(modes, mesh, settings, components, match, tolerance, unit, fixed)
     if geometry is not None and settings.by == "position" and modes.n_dof:
         metres = metres_per_model_length
         laid = align_test(geometry, mesh, settings, metres, tolerance, store)
@@ -214,7 +232,7 @@ class _Mapper:
     """Maps the sensors of a test, the degrees of freedom of `modes`, to a model.
 
     components: those that the model's results have. match: test point to model node, given by the
-    user. tolerance: in the model's length, which `unit` names.
+    user. tolerance: in the model's length, which `unit` names. fixed: components by node.
     """
 
     modes: ModeSet
@@ -224,6 +242,12 @@ class _Mapper:
     match: dict[int, int]
     tolerance: float
     unit: str
+    fixed: Fixed
+
+    @property
+    def dofs(self) -> list[tuple[int, int]]:
+        """Test point and component of each sensor."""
+        return list(zip(self.modes.nodes.tolist(), self.modes.components.tolist(), strict=True))
 
     def length(self, value: float) -> str:
         """Return a length as people read it."""
@@ -233,10 +257,10 @@ class _Mapper:
         """Map sensors to the nodes of the same number, in the axes of the results there."""
         known = set(self.mesh.nodes.tolist())
         nodes: Nodes = {}
-        for point in np.unique(self.modes.nodes).tolist():
-            node = self.match.get(point, point)
+        for sensor in self.dofs:
+            node = self.match.get(sensor[0], sensor[0])
             missing = "" if node in known else f"the model has no results at a node {node}"
-            nodes[point] = MappedNode(0, missing=missing) if missing else MappedNode(node, 0.0)
+            nodes[sensor] = MappedNode(0, missing=missing) if missing else MappedNode(node, 0.0)
         axes = np.eye(3)[(self.modes.components - 1) % 3]
         table, at = self._table(nodes, axes, axes), self._node_numbers(nodes)
         places = np.full((at.size, 3), np.nan)
@@ -267,10 +291,10 @@ class _Mapper:
         """Map sensors where an alignment puts them; misfits: (n_points,) or empty."""
         at = {node: row for row, node in enumerate(geometry.nodes.tolist())}
         laid = alignment.apply(geometry.coordinates)
-        nodes = self._nodes_at(geometry.nodes, laid)
         points = self.modes.nodes
         rows = np.array([at.get(node, 0) for node in points.tolist()], dtype=np.int64)
         directions = alignment.turn(geometry.frames[rows, (self.modes.components - 1) % 3])
+        nodes = self._nodes_at(geometry.nodes, laid, directions)
         turned = result_directions(self._node_numbers(nodes), directions, self.mesh)
         table = self._table(nodes, directions, turned)
         if misfits.size:
@@ -291,24 +315,74 @@ class _Mapper:
                     *notes,
                 ]
             )
+        notes = (*notes, *_passed_over(nodes))
         return self._mapping(table, turned, places, alignment, notes + self._refused(table, notes))
 
-    def _nodes_at(self, names: Integers, places: Floats) -> Nodes:
-        """Return the nodes next to places (n, 3) of the points `names` (n,), for all sensors."""
-        nodes = {
-            point: MappedNode(0, missing="the test has no coordinates of it")
-            for point in np.unique(self.modes.nodes).tolist()
-        }
-        at = {name: places[row] for row, name in enumerate(names.tolist()) if name in nodes}
+    def _nodes_at(self, names: Integers, places: Floats, directions: Floats) -> Nodes:
+        """Return the nodes next to places (n, 3) of the points `names` (n,), for all sensors.
+
+        directions: (n_dof, 3), global axes.
+        """
+        wanted = set(self.modes.nodes.tolist())
+        at = {name: places[row] for row, name in enumerate(names.tolist()) if name in wanted}
+        missing = MappedNode(0, missing="the test has no coordinates of it")
+        nodes = dict.fromkeys(self.dofs, missing)
         if not at:
             return nodes
         found = next_nodes(np.array([*at.values()]), self.mesh)
-        for row, (point, place) in enumerate(at.items()):
-            if point in self.match:
-                nodes[point] = self._matched(self.match[point], place)
-            else:
-                nodes[point] = self._nearest(found.nodes[row], found.distances[row])
+        nearest = {
+            point: self._matched(self.match[point], place)
+            if point in self.match
+            else self._nearest(found.nodes[row], found.distances[row])
+            for row, (point, place) in enumerate(at.items())
+        }
+        nodes |= {sensor: nearest[sensor[0]] for sensor in nodes if sensor[0] in nearest}
+        held = np.isin(found.nodes, np.fromiter(self.fixed, np.int64, len(self.fixed))).any(axis=1)
+        near = {point for point, is_held in zip(at, held, strict=True) if is_held}
+        near -= self.match.keys()
+        for (point, component), direction, rests in zip(
+            self.dofs, directions, self._at_rest(), strict=True
+        ):
+            if point in near and not rests:
+                there = nodes[point, component]
+                moving = self._moving(there, at[point], direction, component)
+                nodes[point, component] = moving
         return self._shared(nodes, at)
+
+    def _at_rest(self) -> list[bool]:
+        """Return of each sensor whether the test has no motion there."""
+        sizes = np.abs(self.modes.mode_shapes)
+        return list((sizes <= AT_REST * sizes.max(axis=0, initial=0.0)).all(axis=1))
+
+    def _moving(
+        self, nearest: MappedNode, place: Floats, direction: Floats, component: int
+    ) -> MappedNode:
+        """Return the node next to a place that can move in a direction, in global axes.
+
+        It is the nearest of all where none within the tolerance can.
+        """
+        near = nodes_within(place, self.mesh, self.tolerance)
+        turned = result_directions(near, np.tile(direction, (near.size, 1)), self.mesh)
+        can_move = [
+            not self._is_fixed(node, along, component)
+            for node, along in zip(near.tolist(), turned, strict=True)
+        ]
+        free = near[np.array(can_move, dtype=bool)]
+        if not free.size:
+            if nearest.missing:
+                return nearest
+            doubt = f"node {nearest.node} is fixed in this direction, as all within the tolerance"
+            return replace(nearest, doubts=(*nearest.doubts, doubt))
+        apart = self.mesh.coordinates[self.mesh.rows(free[:2])] - place
+        distances = np.append(np.linalg.norm(apart, axis=1), np.inf)
+        chosen = self._nearest(np.append(free[:2], 0), distances)
+        return replace(chosen, passed=0 if can_move[0] else int(near[0]))
+
+    def _is_fixed(self, node: int, direction: Floats, component: int) -> bool:
+        """Return whether a node cannot move in a direction, in the axes of its results."""
+        first = 1 if component <= 3 else 4
+        held = [axis + first in self.fixed.get(node, ()) for axis in range(3)]
+        return bool(np.linalg.norm(direction[np.logical_not(held)]) < FREE_PART)
 
     def _matched(self, node: int, place: Floats) -> MappedNode:
         partner = self.mesh.coordinates[self.mesh.rows(np.array([node]))[0]]
@@ -333,27 +407,29 @@ class _Mapper:
 
     def _shared(self, nodes: Nodes, places: dict[int, Floats]) -> Nodes:
         """Add a doubt where test points at different places are read at one node."""
-        sharing: dict[int, list[int]] = {}
-        for point, mapped in nodes.items():
-            sharing.setdefault(mapped.node, []).append(point)
+        sharing: dict[int, dict[int, list[int]]] = {}
+        for (point, component), mapped in nodes.items():
+            sharing.setdefault(mapped.node, {}).setdefault(point, []).append(component)
         doubted = dict(nodes)
         for node, points in sharing.items():
             if not node or len(points) < 2:
                 continue
-            first = points[:COMPARED]
+            first = list(points)[:COMPARED]
             where = np.array([places[other] for other in first])
             more = f" and {len(points) - COMPARED} more" if len(points) > COMPARED else ""
-            for point in points:
+            for point, components in points.items():
                 far = np.linalg.norm(where - places[point], axis=1) > ONE_PLACE * self.tolerance
                 if far.any():
                     apart = [other for other, is_far in zip(first, far, strict=True) if is_far]
                     doubt = f"read at the same node as test point {_listed(apart)}{more}"
-                    doubted[point] = replace(nodes[point], doubts=(*nodes[point].doubts, doubt))
+                    for sensor in ((point, component) for component in components):
+                        doubts = (*nodes[sensor].doubts, doubt)
+                        doubted[sensor] = replace(nodes[sensor], doubts=doubts)
         return doubted
 
     def _node_numbers(self, nodes: Nodes) -> Integers:
         """Return the model's node of each sensor, 0 where it has none."""
-        return np.array([nodes[point].node for point in self.modes.nodes.tolist()], dtype=np.int64)
+        return np.array([nodes[sensor].node for sensor in self.dofs], dtype=np.int64)
 
     def _table(self, nodes: Nodes, directions: Floats, turned: Floats) -> tuple[SensorRow, ...]:
         """Return a row per sensor; directions: (n_dof, 3), in global axes or the node's.
@@ -361,9 +437,8 @@ class _Mapper:
         turned: the same in the axes of the results.
         """
         rows = []
-        dofs = self.modes.nodes.tolist(), self.modes.components.tolist()
-        for point, component, direction, seen in zip(*dofs, directions, turned, strict=True):
-            mapped = nodes[point]
+        for (point, component), direction, seen in zip(self.dofs, directions, turned, strict=True):
+            mapped = nodes[point, component]
             missing = mapped.missing or self._not_computed(component, seen)
             verdict: Verdict = "left out" if missing else "doubtful" if mapped.doubts else "good"
             rows.append(
@@ -374,7 +449,7 @@ class _Mapper:
                     mapped.distance,
                     (float(direction[0]), float(direction[1]), float(direction[2])),
                     verdict,
-                    missing or "; ".join(mapped.doubts),
+                    missing or "; ".join((*_reason(mapped), *mapped.doubts)),
                     node_name="" if missing else self.mesh.names.get(mapped.node, ""),
                 )
             )
@@ -438,6 +513,29 @@ class _Mapper:
             distances=np.array([table[row].distance for row in rows], dtype=np.float64),
         )
         return Mapping(sensors, kept, alignment, places, table, self.tolerance, self.unit, notes)
+
+
+def _reason(mapped: MappedNode) -> list[str]:
+    """Return why a sensor is not read at the nearest node, where it is not."""
+    return [f"the nearest node, {mapped.passed}, is fixed in this direction"] * bool(mapped.passed)
+
+
+def _passed_over(nodes: Nodes) -> list[str]:
+    """Return a sentence about sensors whose nearest node is fixed in their direction, if any."""
+    named = [
+        f"{dof_name(sensor)} ({mapped.node} instead of {mapped.passed})"
+        for sensor, mapped in nodes.items()
+        if mapped.passed and mapped.node
+    ]
+    if not named:
+        return []
+    more = f" and {len(named) - REASONS} more" if len(named) > REASONS else ""
+    one = len(named) == 1
+    return [
+        f"{len(named)} sensor{' is' if one else 's are'} read at the next node that can move, "
+        f"because the nearest one is fixed in {'its' if one else 'their'} direction: "
+        f"{', '.join(named[:REASONS])}{more}"
+    ]
 
 
 def _listed(numbers: Iterable[int]) -> str:

@@ -203,6 +203,7 @@ def map_test(
             METRES[file.model.units],
             solver.deck.summary.components,
             store,
+            solver.deck.fixed(),
         )
     except CampaignError as error:
         where = source.where(("test",))

@@ -582,3 +582,75 @@ def test_more_sensors_than_can_be_told_of_are_refused_at_once() -> None:
     test = mode_set([10.0], np.ones((n, 1)), np.arange(n) + 1, np.full(n, 3))
     with pytest.raises(CampaignError, match=r"has 1,000,000 sensors, but at most 100,000 .* fewer"):
         map_sensors(test, None, plate(), section(), MM)
+
+
+def on_plate(
+    fixed: dict[int, frozenset[int]], shapes: Floats, frames: dict[int, Floats] | None = None,
+    **keys: Any,
+) -> Mapping:  # fmt: skip
+    """Sensors 201.x, 201.z and 202.z next to the nodes 23 and 33 of the plate."""
+    places = at_nodes(plate(), [23, 33]) + np.array([2.0, 0.0, 0.0])
+    return map_sensors(
+        mode_set([10.0], shapes, [201, 201, 202], [1, 3, 3]),
+        geometry([201, 202], places),
+        plate(frames),
+        section(**keys),
+        MM,
+        fixed=fixed,
+    )
+
+
+MOVING = np.ones((3, 1))
+CLAMPED = {23: frozenset(range(1, 7))}
+
+
+def test_a_sensor_is_read_at_the_next_node_that_can_move_along_it() -> None:
+    found = on_plate({23: frozenset((1, 2))}, MOVING, tolerance=120.0)
+    assert found.sensors.model_nodes.tolist() == [22, 23, 33]
+    assert found.table[0].reason.startswith("the nearest node, 23, is fixed in this direction")
+    assert found.table[0].distance == pytest.approx(np.hypot(2.0, 80.0))
+    assert found.table[1].reason == ""
+    assert found.notes[-1] == (
+        "1 sensor is read at the next node that can move, because the nearest one is "
+        "fixed in its direction: 201.x (22 instead of 23)"
+    )
+
+
+def test_fixed_components_are_in_the_axes_of_the_nodes_results() -> None:
+    turned = {23: np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])}  # its first axis is the global z
+    found = on_plate({23: frozenset((1, 2))}, MOVING, turned, tolerance=120.0)
+    assert found.sensors.model_nodes.tolist() == [23, 22, 33]
+
+
+def test_a_sensor_at_rest_is_read_at_the_fixed_node() -> None:
+    found = on_plate(CLAMPED, np.array([[1e-3], [0.0], [1.0]]), tolerance=120.0)
+    assert found.sensors.model_nodes.tolist() == [23, 23, 33]
+    assert not any("fixed" in note for note in found.notes)
+
+
+def test_a_fixed_node_is_doubtful_where_none_within_the_tolerance_can_move() -> None:
+    found = on_plate(CLAMPED, MOVING, tolerance=50.0)
+    assert found.sensors.model_nodes.tolist() == [23, 23, 33]
+    assert [row.verdict for row in found.table] == ["doubtful", "doubtful", "good"]
+    assert "node 23 is fixed in this direction, as all within the toler" in found.table[1].reason
+
+
+def test_nodes_that_the_user_names_are_taken_though_they_are_fixed() -> None:
+    found = on_plate(CLAMPED, MOVING, tolerance=120.0, match={201: 23}, align="none")
+    assert found.sensors.model_nodes.tolist() == [23, 23, 33]
+
+
+def test_a_fixed_node_at_the_same_place_casts_no_doubt_on_the_other() -> None:
+    mesh = plate()
+    twice = Mesh(np.arange(1, 47), np.vstack([mesh.coordinates, mesh.coordinates[22]]), mesh.cells)
+    for fixed, free in ((46, 23), (23, 46)):
+        found = map_sensors(
+            mode_set([10.0], np.ones((1, 1)), [201], [3]),
+            geometry([201], at_nodes(mesh, [23])),
+            twice,
+            section(),
+            MM,
+            fixed={fixed: frozenset(range(1, 7))},
+        )
+        assert found.sensors.model_nodes.tolist() == [free]
+        assert found.table[0].verdict == "good"
