@@ -369,6 +369,8 @@ def edited_bulk(deck: NastranDeck, bulk: Bulk, changed: Mapping[int, str]) -> It
 
 def _patches(deck: NastranDeck, bulk: Bulk, changed: Mapping[int, str]) -> list[Patch] | None:
     """What to set on which objects; None where the deck has to be read again."""
+    if deck.parts:  # a card's own number may not be the model's
+        return None
     if any(deck.lines[position].text.lstrip().startswith(COPIES) for position in deck.bulk):
         return None
     if any("\n" in text for text in changed.values()):  # cards are added

@@ -8,7 +8,7 @@ a job without another meaning is refused, each with file and line.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from modetune.adapters.nastran.deck import NastranDeck
@@ -38,9 +38,11 @@ REFUSED = {
 }
 #: Subcases that combine or repeat others.
 COMBINED = ("SUBCOM", "SYMCOM", "REPCASE")
+#: A SET command may go on over lines.
+SET_FLAGS = re.IGNORECASE | re.DOTALL
 #: The field of a GRID that puts it into a superelement, and cards that make superelements.
 SEID = 8
-PARTS = ("SESET", "SEELT", "SEBULK", "SELOC", "CSUPER", "RELEASE")
+PARTS = ("SEBULK", "SELOC", "CSUPER", "RELEASE")
 #: Executive statements that change what is computed in ways a job does not carry.
 DMAP = frozenset({"COMPILE", "ALTER", "ENDALTER", "LINK", "MALTER", "RESTART", "RFALTER"})
 #: Where changes to the solution sequence begin, which Nastran's own jobs carry.
@@ -249,7 +251,9 @@ def absent_sets(deck: NastranDeck, case: CaseControl) -> list[str]:
 
 
 def _whole(deck: NastranDeck, statement: Statement) -> bool:
-    """Whether superelements are asked for where the whole model is the residual structure."""
+    """Whether superelements are asked for where the whole model is, or becomes, one."""
+    if deck.parts:
+        return True
     whole = statement.name in ("SEALL", "SEMG") or statement.value in ("0", "ALL")
     of_parts = any(card.text(SEID) not in ("", "0") for card in deck.named("GRID"))
     known = statement.name in ("SUPER", "SEALL", "SEMG")
@@ -280,6 +284,7 @@ def _only_sets(deck: NastranDeck) -> tuple[str, ...]:
 def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
     above: list[Statement] = []
     subcases: list[list[Statement]] = []
+    sets: dict[str, str] = {}
     for statement in read_statements(deck, deck.case_control):
         if PLOTS.match(statement.text) or statement.name == "BEGIN":
             break
@@ -289,7 +294,39 @@ def _split(deck: NastranDeck) -> tuple[list[Statement], list[list[Statement]]]:
             subcases[-1].append(statement)
         else:
             above.append(statement)
-    return above, subcases
+        if found := re.fullmatch(r"SET\s+(\d+)\s*=\s*(.*)", statement.text, SET_FLAGS):
+            sets[found.group(1)] = found.group(2)
+    if not deck.parts:
+        return above, subcases
+    whole = [own for own in subcases if _of_whole(own, sets)]
+    if not whole:
+        return above, subcases
+    for own in subcases:
+        if own not in whole and not _same_constraints(above, own, whole[-1]):
+            raise ModelError(
+                f"{own[0].where}: this subcase of a part selects other SPC or MPC sets than that "
+                "of the residual structure; give both the same sets"
+            )
+    return above, whole
+
+
+def _of_whole(own: list[Statement], sets: Mapping[str, str]) -> bool:
+    """Whether a subcase is of the residual structure, which has the whole model's modes."""
+    for statement in own:
+        if statement.name == "SUPER":
+            first = statement.value.partition(",")[0].strip().upper()
+            members = re.split(r"[\s,]+", sets.get(first, first).strip().upper())
+            return "ALL" in members or "0" in members
+    return True
+
+
+def _same_constraints(above: list[Statement], one: list[Statement], other: list[Statement]) -> bool:
+    """Whether two subcases select the same constraints, those above all in force."""
+    selected = [
+        {item.name: item.value for item in (*above, *own) if item.name in CONSTRAINTS}
+        for own in (one, other)
+    ]
+    return selected[0] == selected[1]
 
 
 def modal_subcases(deck: NastranDeck) -> tuple[ModalCase, ...]:
@@ -308,6 +345,16 @@ def modal_subcases(deck: NastranDeck) -> tuple[ModalCase, ...]:
     except ModelError:
         default = []
     return tuple(replace(_modal_case(own), default=own is default) for own in modal)
+
+
+def parts_note(deck: NastranDeck) -> str:
+    """Return that superelements are one model here; empty for a deck without any."""
+    if not deck.parts:
+        return ""
+    return (
+        f"{deck.file}: its superelements are joined to one model without reduction, so the modes "
+        "are those of the whole structure; docs/nastran.md says what numbers the parts have"
+    )
 
 
 def choice_note(deck: NastranDeck) -> str:

@@ -17,11 +17,14 @@ from pathlib import Path
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
 from modetune.adapters.nastran.fields import NastranCard, read_cards, read_number
+from modetune.adapters.nastran.parts import Part, is_partitioned, merged_cards
 from modetune.core.errors import ModelError
 
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
 CONTROL = re.compile(r"\s*(SOL(?=[\s=,])|CEND\b|BEGIN\b)\s*[=,]?\s*([^$]*)", re.IGNORECASE)
 END = re.compile(r"\s*ENDDATA\b", re.IGNORECASE)
+#: The beginning of a part, behind the word BEGIN.
+PART = re.compile(r"(?:BULK\s*)?SUPER\s*=\s*0*([1-9]\d*)")
 #: A quoted file name that has not ended after this many lines has lost its quote.
 LONGEST_NAME = 20
 
@@ -31,7 +34,9 @@ class NastranDeck:
     """A deck with its includes in place: its lines, and the cards of its bulk data.
 
     executive, case_control, bulk: positions in lines; CEND belongs to executive. subcase: the
-    number of the subcase whose modes count, 0 where the case control leaves no choice.
+    number of the subcase whose modes count, 0 where the case control leaves no choice. parts: the
+    sections of superelements, the residual structure first; empty for a deck of one model. cards:
+    those of the whole model, in its numbers.
     """
 
     file: Path
@@ -42,6 +47,7 @@ class NastranDeck:
     case_control: range
     bulk: range
     subcase: int = 0
+    parts: tuple[Part, ...] = ()
 
     def named(self, *names: str) -> list[NastranCard]:
         """All cards of these names, in order."""
@@ -66,19 +72,26 @@ def read_deck(path: Path, subcase: int = 0) -> NastranDeck:
     lines: list[Line] = []
     includes: list[Include] = []
     _read_file(path, path.parent, (path.resolve(),), lines, includes)
-    executive, case_control, bulk = _sections(path, lines)
-    cards = read_cards(lines, bulk)
+    executive, case_control, bulk, parts = _sections(path, lines)
+    cards = _cards(lines, bulk, parts)
+    if not parts and is_partitioned(cards):
+        parts = ((0, bulk),)
+        cards = _cards(lines, bulk, parts)
     if not cards:
         raise ModelError(f"{path}, line 1: the file holds no bulk data")
     return NastranDeck(
-        path, tuple(lines), tuple(includes), cards, executive, case_control, bulk, subcase
+        path, tuple(lines), tuple(includes), cards, executive, case_control, bulk, subcase, parts
     )
+
+
+def _cards(lines: Sequence[Line], bulk: range, parts: Sequence[Part]) -> tuple[NastranCard, ...]:
+    return merged_cards(lines, parts) if parts else read_cards(lines, bulk)
 
 
 def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
     """The deck as it reads with some lines changed. Raises ModelError."""
     lines = texts_at(deck, changed)
-    return replace(deck, lines=lines, cards=read_cards(lines, deck.bulk))
+    return replace(deck, lines=lines, cards=_cards(lines, deck.bulk, deck.parts))
 
 
 def texts_at(deck: NastranDeck, changed: Mapping[int, str]) -> tuple[Line, ...]:
@@ -96,7 +109,13 @@ def with_added(
     ModelError."""
     lines = deck_files.with_added(deck.lines, changed, added)
     bulk = range(deck.bulk.start, deck.bulk.stop + len(lines) - len(deck.lines))
-    return replace(deck, lines=lines, bulk=bulk, cards=read_cards(lines, bulk))
+    more = {position: len(list(texts)) for position, texts in added.items()}
+    parts = tuple(
+        (number, range(*(end + sum(n for at, n in more.items() if at < end) for end in
+                         (own.start, own.stop))))
+        for number, own in deck.parts
+    )  # fmt: skip
+    return replace(deck, lines=lines, bulk=bulk, parts=parts, cards=_cards(lines, bulk, parts))
 
 
 def write_edited(deck: NastranDeck, changed: Mapping[int, str], folder: Path) -> Path:
@@ -180,20 +199,29 @@ def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
     return [f"INCLUDE '{name}'", *("$" for _ in lines[1:])]
 
 
-def _sections(path: Path, lines: Sequence[Line]) -> tuple[range, range, range]:
-    """Find executive, case control and bulk data. Raises ModelError where one has no end."""
+def _sections(path: Path, lines: Sequence[Line]) -> tuple[range, range, range, tuple[Part, ...]]:
+    """Find executive, case control and bulk data, and the sections of parts if there are any.
+
+    Raises ModelError where one has no end.
+    """
     cend, begin, has_solution = None, None, False
+    starts: list[tuple[int, int]] = []
     for position, line in enumerate(lines):
         found = CONTROL.match(line.text)
         if found is None:
             continue
         word, rest = found.group(1).upper(), found.group(2).strip().upper()
         if word == "BEGIN":
-            if rest != "BULK" or begin is not None:
+            part = PART.fullmatch(rest)
+            if begin is None and rest == "BULK":
+                begin = position
+            elif begin is None or part is None or int(part.group(1)) in [n for n, _ in starts]:
                 raise ModelError(
-                    f"{line.where}: superelements and part models are not read: BEGIN {rest}"
+                    f"{line.where}: superelements: BEGIN {rest} is none of BEGIN BULK once, then "
+                    "BEGIN SUPER = n once for each part"
                 )
-            begin = position
+            else:
+                starts.append((int(part.group(1)), position))
         elif begin is not None:
             raise ModelError(f"{line.where}: {word} after BEGIN BULK")
         elif word == "CEND":
@@ -205,4 +233,9 @@ def _sections(path: Path, lines: Sequence[Line]) -> tuple[range, range, range]:
     first_case = 0 if cend is None else cend + 1
     first_bulk = 0 if begin is None else begin + 1
     last = len(lines) - 1 if lines and END.match(lines[-1].text) else len(lines)
-    return range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)
+    stops = [position for _, position in starts] + [last]
+    parts = [(0, range(first_bulk, stops[0]))] if starts else []
+    for (number, start), stop in zip(starts, stops[1:], strict=True):
+        parts.append((number, range(start + 1, stop)))
+    sections = range(first_case), range(first_case, first_bulk - 1), range(first_bulk, last)
+    return *sections, tuple(parts)

@@ -23,7 +23,7 @@ from modetune.adapters.nastran.case_control import (
 from modetune.adapters.nastran.deck import NastranDeck, with_lines
 from modetune.adapters.nastran.design import design_cards, design_commands
 from modetune.adapters.nastran.dialect import Dialect
-from modetune.adapters.nastran.fields import NastranCard
+from modetune.adapters.nastran.fields import NastranCard, large_field
 from modetune.adapters.nastran.matrices import KEEP, PRINT_TABLE
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.mystran.deck import first_shift, mystran_cards
@@ -169,6 +169,13 @@ def _bulk(
         deck = with_lines(model.deck, changed) if changed else model.deck
         bulk = cache(partial(model.bulk_at, dict(changed)))
         return mystran_cards(deck, bulk, left_out, n_modes, model.masses() == "lumped")
+    if model.deck.parts:  # in the numbers of the whole model
+        deck = with_lines(model.deck, changed) if changed else model.deck
+        return [
+            large_field(card.name, [card.text(place) for place in range(1, len(card.fields))])
+            for card in deck.cards
+            if not left_out(card)
+        ]
     kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
     return [_text(model.deck, changed, position) for position in sorted(kept)]
 

@@ -69,6 +69,11 @@ class Found:
 
 def load_case(structure: Structure, mesh: Mesh, number: int) -> LoadCase:
     """The forces of a load set. Raises ModelError where the deck has none, or other loads."""
+    if len(structure.deck.parts) > 1:
+        raise ModelError(
+            f"{structure.deck.file}: loads of superelements are not read; take the load to a deck "
+            "without BEGIN SUPER"
+        )
     found, cells = Found(), dict[int, tuple[CellKind, list[int]]]()
     if structure.deck.named(*PRESSURES):
         cells = {

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from modetune.adapters.cross_checks import without_spare
 from modetune.adapters.licence import licence_refusal
-from modetune.adapters.nastran.case_control import choice_note, range_note
+from modetune.adapters.nastran.case_control import choice_note, parts_note, range_note
 from modetune.adapters.nastran.deck import read_deck, with_lines
 from modetune.adapters.nastran.design import mode_derivatives, read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
@@ -219,7 +219,8 @@ def _solver(
     deck: Path, parameters: tuple[Parameter, ...], dialect: Dialect, subcase: int
 ) -> Solver:
     model = understand(read_deck(deck, subcase), parameters)
-    for note in filter(None, (choice_note(model.deck), range_note(model.deck))):
+    notes = (note(model.deck) for note in (parts_note, choice_note, range_note))
+    for note in filter(None, notes):
         logger.warning("%s", note)
     if dialect.name == "mystran":
         model.check()

@@ -27,6 +27,7 @@ from modetune.adapters.nastran.bulk import Bulk, edited_bulk, read_bulk
 from modetune.adapters.nastran.case_control import (
     absent_sets,
     choice_note,
+    parts_note,
     range_note,
     read_case_control,
 )
@@ -260,7 +261,8 @@ class TranslatedDeck(NastranModel):
 def translated_solver(deck: Path, parameters: tuple[Parameter, ...], subcase: int = 0) -> Solver:
     """Return CalculiX for a Nastran deck. Raises ModelError where it cannot be translated."""
     model = nastran_model.understand(read_deck(deck, subcase), parameters)
-    for note in filter(None, (choice_note(model.deck), range_note(model.deck))):
+    notes = (note(model.deck) for note in (parts_note, choice_note, range_note))
+    for note in filter(None, notes):
         logger.warning("%s", note)
     model.check()
     translated = TranslatedDeck(model.structure, model.objections, model.parameters)

@@ -232,11 +232,15 @@ def test_case_control_that_means_no_single_modal_job_is_refused(
 
 
 @pytest.mark.parametrize("whole", ["SUPER = ALL\n", "SEALL = ALL\n", "SUPER=0\n"])
-def test_superelements_are_asked_of_a_model_that_has_none(whole: str, tmp_path: Path) -> None:
-    assert "SUPER" not in job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}")
-    for parts in ("SESET,1,2\n", "GRID,99,,0.,0.,0.,,,1\n"):
-        with pytest.raises(ModelError, match="asks for superelements"):
-            job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}{parts}")
+def test_superelements_are_asked_of_a_model_that_is_or_becomes_one(
+    whole: str, tmp_path: Path
+) -> None:
+    for parts in ("", "SESET,1,2\n", "GRID,99,,0.,0.,0.,,,1\n"):
+        text = job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}{parts}")
+        assert "SUPER" not in text
+        assert "SESET" not in text
+    with pytest.raises(ModelError, match="CSUPER makes an image"):
+        job(tmp_path, f"SOL 103\nCEND\n{whole}BEGIN BULK\n{BULK}SESET,1,2\nCSUPER,2,1,3\n")
 
 
 def test_a_database_of_its_own_name_is_no_input(tmp_path: Path) -> None:
