@@ -26,7 +26,8 @@ from modetune.adapters.nastran.dialect import Dialect
 from modetune.adapters.nastran.fields import NastranCard, large_field
 from modetune.adapters.nastran.matrices import KEEP, PRINT_TABLE
 from modetune.adapters.nastran.model import NastranModel
-from modetune.adapters.nastran.mystran.deck import first_shift, mystran_cards
+from modetune.adapters.nastran.mystran.deck import mystran_cards
+from modetune.adapters.nastran.mystran.shift import first_shift, usual_shift
 from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, SensitivityAnalysis
 from modetune.core.errors import ModelError
 from modetune.core.parameters import Values
@@ -142,7 +143,12 @@ def _parameters(analysis: Analysis) -> list[str]:
 
 
 def _eigrl(model: NastranModel, method: int, n_modes: int, dialect: Dialect) -> str:
-    shift = first_shift(model.deck, method) if dialect.name == "mystran" else ""
+    shift = ""
+    if dialect.name == "mystran":
+        speed = max(model.wave_speeds().values(), default=0.0)
+        shift = first_shift(model.deck, method) or usual_shift(
+            model.mesh(), model.bulk, speed, model.largest_eigenvalue()
+        )
     return f"EIGRL,{method},,,{n_modes},,,{shift},MASS"
 
 

@@ -43,20 +43,6 @@ COUNTED = ("MPC", "RBE3")
 POINTLESS = re.compile(r"^([+-]?\d+)((?:[ED][+-]?|[+-])\d+)$", re.IGNORECASE)
 #: Difference of direction cosines by which output frames differ: the digits of a card.
 SAME_FRAME = 1e-6
-#: Fields of an EIGRL card: its number, and the shift of the first factorisation.
-EIGRL_ID, EIGRL_SHIFT = 1, 7
-#: A negative shift keeps the stiffness of free structures from being singular, (rad/s)^2. It is
-#: of the size of the lowest elastic eigenvalues (5 Hz) and far above the rounding of rigid ones.
-SHIFT = "-1000."
-
-
-def first_shift(deck: NastranDeck, method: int) -> str:
-    """The shift of the user's own EIGRL where it is negative, else a usual one."""
-    for card in deck.named("EIGRL"):
-        shift = card.text(EIGRL_SHIFT)
-        if card.text(EIGRL_ID) == str(method) and shift.startswith("-"):
-            return shift
-    return SHIFT
 
 
 def mystran_cards(
