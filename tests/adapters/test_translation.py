@@ -457,11 +457,13 @@ def test_probes_agree_with_mystran(
 
 
 @needs_ccx
-def test_the_garteur_aircraft_has_nastrans_frequencies(shared_data: Path, tmp_path: Path) -> None:
+def test_the_garteur_aircraft_has_the_frequencies_of_a_fine_mesh(
+    shared_data: Path, tmp_path: Path
+) -> None:
     bulk = read_bulk(shared_data / "garteur" / "mystran" / "gart.dat")
     solved = solve(bulk, tmp_path, 14)
-    # NASTRAN-95 on the same mesh (garteur/supaero/nastran_dynamic_ref.out); 41.265 kg in tonnes.
-    nastran = [6.367, 17.318, 39.366, 46.015, 46.081, 49.723, 52.269, 57.012]
+    # NASTRAN-95 on a mesh of 3,680 shells, four by four in each of these; on 920 it is up to 0.7 %
+    # above that, and on the deck's 230 2.6 % (garteur/supaero/nastran_dynamic_ref.out).
+    fine = [6.365, 17.285, 39.171, 45.563, 45.657, 49.534, 50.926, 56.141]
     assert solved.result.mass == pytest.approx(0.041265, rel=1e-5)
-    # NASTRAN-95's elements are linear: its twist of the wings (52.3 and 57.0 Hz) is 2 % above.
-    assert solved.frequencies_hz == pytest.approx(nastran, rel=0.025)
+    assert solved.frequencies_hz == pytest.approx(fine, rel=0.005)

@@ -1,9 +1,10 @@
 """Solids as MYSTRAN has them right.
 
-MYSTRAN's PSOLID has no default for the integration: a blank IN becomes 2 (two points a direction),
-or what CTETRA of ten nodes require. Its masses of solids are consistent whatever the deck asks for:
-where that is lumped ones, they become CONM2 at the grid points, and the solids get a copy of their
-material without density.
+MYSTRAN's PSOLID has no default for the integration. A blank IN becomes what CTETRA of ten nodes
+require, 3 points a direction for hexahedra and pentahedra with midside nodes, as Nastran's default
+is (with 2 a bar of 20-node bricks has modes without strain energy), and 2 for others. MYSTRAN's
+masses of solids are consistent whatever the deck asks for: where that is lumped ones, they become
+CONM2 at the grid points, and the solids get a copy of their material without density.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ from modetune.adapters.nastran.mystran.scalars import Card
 CARDS = ("PSOLID",)
 #: Field of a PSOLID that says how many points a solid is integrated with.
 INTEGRATION = 4
-#: Its field for full integration of shear, and the last corner of a CTETRA without midside nodes.
-ISOP, CORNERS_OF_FOUR = 6, 6
+#: Its field for full integration of shear.
+ISOP = 6
+#: The field after the last corner of each solid, where midside nodes begin.
+MIDSIDES = {"CTETRA": 7, "CPENTA": 9, "CHEXA": 11}
 #: Field of a MAT1 of its density.
 DENSITY = 5
 
@@ -49,9 +52,13 @@ class SolidCards:
         self._materials = {card.text(1): card for card in deck.named("MAT1")}
         #: Properties, and whether their solids are CTETRA of ten nodes.
         self._tens: dict[str, set[bool]] = {}
-        for card in deck.named("CHEXA", "CPENTA", "CTETRA"):
-            ten = card.name == "CTETRA" and bool(card.text(CORNERS_OF_FOUR + 1))
-            self._tens.setdefault(card.text(2), set()).add(ten)
+        #: Properties of other solids with midside nodes.
+        self._curved = set[str]()
+        for card in deck.named(*MIDSIDES):
+            curved = bool(card.text(MIDSIDES[card.name]))
+            self._tens.setdefault(card.text(2), set()).add(curved and card.name == "CTETRA")
+            if curved and card.name != "CTETRA":
+                self._curved.add(card.text(2))
 
     @cached_property
     def _lumped(self) -> frozenset[int]:
@@ -75,7 +82,7 @@ class SolidCards:
         fields += [""] * (ISOP - len(fields))
         given = fields[INTEGRATION - 1]
         known = given in ("3", "THREE") or (given in ("2", "TWO") and True not in tens)
-        points = given if known else "2"
+        points = given if known else "3" if fields[0] in self._curved else "2"
         if points == "2" and True in tens:
             points = "3" if False in tens else ""
         full = "FULL" if fields[ISOP - 1] in ("1", "FULL") and True not in tens else ""
