@@ -37,6 +37,8 @@ SAME_THICKNESS = 1e-10
 NEAR_NORMALS = 0.7
 #: Cards whose lines are numbers alone: neither mesh nor ties are other with others of them.
 NUMBERS = {keyword for keyword, row in CARDS.items() if row.moves}
+#: Moduli by direction, and the places of their Poisson's ratios.
+ENGINEERING, RATIOS = "ENGINEERINGCONSTANTS", slice(3, 6)
 #: A number of a deck: a line and the place in it.
 Place = tuple[int, int]
 
@@ -142,8 +144,10 @@ def changed_places(
         if len(set(row)) == 1:
             continue
         cards, numbers = _cards(nominal, [line]), _numbers(row)
-        own = _powers(cards[0], numbers, at) if len(cards) == 1 and numbers is not None else None
-        if own is None or numbers is None:
+        if len(cards) != 1 or numbers is None:
+            return None
+        own = _powers(nominal, cards[0], numbers, at)
+        if own is None:
             return None
         moved = np.flatnonzero(np.ptp(numbers, axis=0) > 0.0).tolist()
         changed |= {(line, place) for place in moved}
@@ -187,19 +191,30 @@ def _numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def _powers(card: KeywordCard, numbers: Floats, at: Floats) -> tuple[int, ...] | None:
+def _powers(
+    nominal: CalculixStructure, card: KeywordCard, numbers: Floats, at: Floats
+) -> tuple[int, ...] | None:
     """The powers of the value by which a line's numbers move matrices, None where by no such."""
     kind, moved = card.option("TYPE"), np.ptp(numbers, axis=0) > 0.0
     isotropic = kind in ("", "ISO", "ISOTROPIC")
     if card.keyword == "*ELASTIC" and (
         (isotropic and moved[1:].any())  # Poisson's ratio
-        or (not isotropic and kind not in ("ORTHO", "ANISO"))
+        or (not isotropic and kind not in ("ORTHO", "ANISO", ENGINEERING))
+        or (kind == ENGINEERING and _couples(nominal, card))
     ):
         return None
     if _fits(numbers[:, moved], at, (1,) if card.keyword == "*SHELLSECTION" else (0, 1)):
         return (1,)
     cubic = kind == "ANISO" and at.size > 4 and _fits(numbers[:, moved], at, (0, *CUBIC))
     return CUBIC if cubic else None
+
+
+def _couples(nominal: CalculixStructure, card: KeywordCard) -> bool:
+    """Whether engineering constants have Poisson's ratios: without any, the stiffness is linear in
+    each of the moduli."""
+    line = nominal.deck.lines[card.data[0]].text
+    numbers = _numbers([line])
+    return numbers is None or bool(numbers[0, RATIOS].any())
 
 
 def _fits(numbers: Floats, at: Floats, powers: tuple[int, ...]) -> bool:

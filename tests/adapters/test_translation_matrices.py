@@ -119,3 +119,46 @@ def test_affected_elements_are_those_of_the_translation(
 def test_no_polynomial_no_affected_elements(tmp_path: Path, quantity: Quantity) -> None:
     scaled = parameter(quantity, 2)
     assert solver_of(tmp_path, scaled).deck.affected_elements(scaled) is None
+
+
+def frame(element: str, sections: str) -> str:
+    """A portal of three bars with two materials; its beam is the second part."""
+    rows = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.6), (0.0, 0.0, 1.2))
+    points = (*rows, (0.9, 0.1, 1.3), (1.8, 0.0, 1.2), (1.8, 0.0, 0.0))
+    cards = [f"GRID,{n},,{x},{y},{z}" for n, (x, y, z) in enumerate(points, start=1)]
+    for n, part in enumerate((1, 1, 2, 2, 1), start=1):
+        cards.append(element.format(n=n, part=part, a=n, b=n + 1))
+    return HEAD + "\n".join([
+        *cards, sections, "MAT1,1,70.E9,,.3,2700.", "MAT1,2,210.E9,,.3,7800.",
+        "SPC1,1,123456,1,6", "ENDDATA",
+    ]) + "\n"  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("element", "sections"),
+    [
+        ("CBAR,{n},{part},{a},{b},0.,1.,0.",
+         "PBAR,1,1,4.-4,3.-8,2.-8,4.-8\nPBAR,2,2,3.-4,2.-8,2.-8,3.-8"),
+        ("CBEAM,{n},{part},{a},{b},0.,1.,0.",  # with shear strains and non-structural mass
+         "PBEAM,1,1,4.-4,3.-8,2.-8,,4.-8,.05\nPBEAM,2,2,3.-4,2.-8,2.-8,5.-9,3.-8"),
+        ("CBEAM,{n},{part},{a},{b},0.,1.,0.\n,,,.02,0.,.01,.02,0.,.01",  # offset channels
+         "PBEAML,1,1,,CHAN\n,.06,.08,.004,.005\nPBEAML,2,2,,TUBE\n,.03,.027"),
+    ],
+    ids=["bars", "beams", "offset"],
+)  # fmt: skip
+def test_the_stiffness_of_beams_is_linear_in_their_modulus(
+    tmp_path: Path, element: str, sections: str
+) -> None:
+    scaled = parameter("youngs_modulus", 2)
+    path = tmp_path / "model.bdf"
+    path.write_text(frame(element, sections))
+    solver = translated_solver(path, (scaled,))
+    found = solver.deck.affected_elements(scaled)
+    assert found is not None
+    assert (found.stiffness, found.mass, found.powers) == (True, False, (1,))
+    half, whole, more = (matrices_at(solver, tmp_path, p=value) for value in (0.5, 1.0, 1.3))
+    one, two = half.stiffness.toarray(), whole.stiffness.toarray()
+    size = np.sqrt(np.abs(np.outer(np.diag(two), np.diag(two))))
+    foreseen = one + (1.3 - 0.5) / 0.5 * (two - one)
+    assert (np.abs(more.stiffness.toarray() - foreseen) <= 1e-12 * size).all()  # 14 digits
+    assert (whole.mass != more.mass).nnz == 0
