@@ -17,33 +17,35 @@ Nastran leaves out responses that no constraint keeps; so all get one with Nastr
 and one above the subcases would have to be a response of none of them. The run ends
 after the sensitivities (DSAPRT with END=SENS), which go to the OP2 file as DSCM2, their columns
 named by DSCMCOL. (MSC and Simcenter Nastran, Quick Reference Guides: DSAPRT, DRESP1, DVMREL1.)
-
-Expressions of parameters are DEQATN cards. Nastran's equations are Fortran's: upper case, real
-numbers with a point, lines of 56 columns behind the number and of 64 columns after it.
 """
 
 from __future__ import annotations
 
-import ast
-import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from modetune.adapters.deck_numbers import moved_numbers
-from modetune.adapters.nastran.cards import CARDS, station_rows
 from modetune.adapters.nastran.deck import with_lines
-from modetune.adapters.nastran.fields import NastranCard, format_number, read_number
+from modetune.adapters.nastran.design_relations import (
+    WIDTH,
+    equation_card,
+    in_fortran,
+    large_card,
+    real,
+    relation_head,
+    relation_kind,
+    tied_numbers,
+)
+from modetune.adapters.nastran.fields import NastranCard, format_number
 from modetune.adapters.nastran.model import NastranModel
 from modetune.adapters.nastran.op2 import Op2Table, Record, read_tables
-from modetune.adapters.nastran.places import ValuePlace
 from modetune.adapters.nastran.results import COMPONENTS
 from modetune.adapters.solver import SensitivityAnalysis
-from modetune.core.errors import ModelError, SolverCrashed
-from modetune.core.expressions import names_of, parts, read
+from modetune.core.errors import SolverCrashed
+from modetune.core.expressions import names_of
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, Values
 from modetune.core.updating.sensitivity import ModeDerivatives
@@ -56,10 +58,6 @@ LOWER, UPPER = ".5", "2."
 THRESHOLD = "-1.+10"
 #: Responses of one kind that are kept; more than any job asks for.
 KEPT = 9_999_999
-#: Offsets of a PBEAM's neutral axis.
-OFFSETS = ("N1", "N2")
-#: Characters of a field in large-field cards.
-WIDTH = 16
 
 
 def design_commands(analysis: SensitivityAnalysis, method: str) -> list[str]:
@@ -118,41 +116,18 @@ def _relations(
     for variable, parameter in enumerate(parameters, start=1):
         numbers, here = model.numbers(parameter), values.get(parameter.name, 1.0)
         moved, twice = (moved_numbers(parameter, numbers, v) for v in (here, 2.0 * here))
-        for count, place, coefficient in _tied(model, edited, parameter):
+        for count, place, coefficient in tied_numbers(
+            model.deck, edited, parameter, model.places(parameter)
+        ):
             now, then = moved[count][1], twice[count][1]
             number += 1
             constant = ""
             if not parameter.proportional:
                 constant = format_number(2.0 * now - then, WIDTH)
                 coefficient = format_number(then - now, WIDTH)
-            fields = (*_head(number, place), "", constant, "", str(variable), coefficient)
-            lines += _large(_kind(place, 1), fields)
+            fields = (*relation_head(number, place), "", constant, "", str(variable), coefficient)
+            lines += large_card(relation_kind(place, 1), fields)
     return lines
-
-
-def _tied(
-    model: NastranModel, edited: Mapping[int, NastranCard], parameter: Parameter
-) -> Iterator[tuple[int, ValuePlace, str]]:
-    """Yield the numbers that a parameter moves: position in the model, place, and text.
-
-    Blank ones of a beam's stations follow that of end A.
-    """
-    places = model.places(parameter)
-    named = {(place.card.lines, place.symbol) for place in places}
-    for count, place in enumerate(places):
-        card = edited[place.card.lines[0]]
-        text = _coefficient(card.text(place.field) or repr(place.value))  # blank: its default
-        yield count, place, text
-        for symbol, coefficient in _following(card, place, parameter).items():
-            if (place.card.lines, symbol) in named:
-                continue
-            if coefficient != text and not parameter.proportional:
-                raise ModelError(
-                    f"{model.deck.where(place.card)}: {card.name} {place.ident} has a blank "
-                    f"{symbol} between others, which solver sensitivities to {parameter.name} need "
-                    "written out"
-                )
-            yield count, replace(place, symbol=symbol), coefficient
 
 
 def _equations(
@@ -179,7 +154,7 @@ def _equations(
             slope = real(free.scale * values.get(name, 1.0))
             texts[name] = f"({real(free.origin)}+{slope}*X{count})"
         first = 1.0
-        for _, place, _ in _tied(model, edited, item):
+        for _, place, _ in tied_numbers(model.deck, edited, item, model.places(item)):
             number += 1
             first = first if place.along else place.value
             ratio = place.value / first if place.along else 1.0
@@ -190,64 +165,11 @@ def _equations(
                 text = f"({real(first)}+{text})"
             arguments = [f"X{n}" for n in range(1, len(own) + 1)]
             lines += equation_card(number, arguments, f"{real(ratio)}*{text}")
-            rows = [*_head(number, place), "", str(number), "", "DESVAR"]
-            lines += _large(_kind(place, 2), [*rows, *(str(variables[name]) for name in own)])
+            rows = [*relation_head(number, place), "", str(number), "", "DESVAR"]
+            lines += large_card(
+                relation_kind(place, 2), [*rows, *(str(variables[name]) for name in own)]
+            )
     return lines
-
-
-def _following(card: NastranCard, place: ValuePlace, parameter: Parameter) -> dict[str, str]:
-    """Blank numbers of a beam's stations, which follow end A, by their names.
-
-    Nastran fills them in as it reads the card; a design variable of end A alone would leave them.
-    Raises ModelError for a blank one between ends of which the parameter scales one.
-    """
-    name = place.symbol.removesuffix("(A)")
-    at_a = card.text(place.field)
-    if name == place.symbol or not at_a:
-        return {}
-    if card.name == "PBEAM" and name in OFFSETS:  # N1(A), N2(A), N1(B), N2(B) are consecutive
-        return {} if card.text(place.field + 2) else {f"{name}(B)": _coefficient(at_a)}
-    if card.name != "PBEAM":
-        return {f"{name}(B)": _coefficient(at_a)}
-    offset, rows = place.field - 1, station_rows(card)
-    where = {row: read_number(card.text(row + 1) or "1.") for row in rows}
-    at_b = next((card.text(row + offset) for row in rows if where[row] == 1.0), "")
-    found = {} if at_b else {f"{name}(B)": _coefficient(at_a)}
-    a, b = read_number(at_a), read_number(at_b or at_a)
-    for station, row in enumerate(rows, start=1):
-        if where[row] != 1.0 and not card.text(row + offset):
-            if parameter.item and at_b:
-                raise ModelError(
-                    f"PBEAM {place.ident}: station {station} has a blank {name}, which solver "
-                    f"sensitivities to {parameter.name} need written out"
-                )
-            found[f"{name}({station})"] = format_number(a + (b - a) * where[row], WIDTH)
-    return found
-
-
-def _coefficient(text: str) -> str:
-    """Return a number as written in the deck, or as much of it as a large field holds."""
-    return text if len(text) <= WIDTH else format_number(read_number(text), WIDTH)
-
-
-def _kind(place: ValuePlace, relation: int) -> str:
-    """The card that ties one number of the model to design variables."""
-    kinds = {"material": "DVMREL", "property": "DVPREL"}
-    return f"{kinds.get(CARDS[place.card.name].owner, 'DVCREL')}{relation}"
-
-
-def _head(number: int, place: ValuePlace) -> tuple[str, str, str, str, str]:
-    return str(number), place.card.name, str(place.ident), place.symbol, ""
-
-
-def _large(name: str, fields: Sequence[str]) -> list[str]:
-    """A card in large field, four fields a line."""
-    rows = [fields[start : start + 4] for start in range(0, len(fields), 4)]
-    heads = [f"{name}*", *("*" for _ in rows[1:])]
-    return [
-        f"{head:<8}{''.join(f'{field:>{WIDTH}}' for field in row)}".rstrip()
-        for head, row in zip(heads, rows, strict=True)
-    ]
 
 
 def _responses(analysis: SensitivityAnalysis) -> Iterator[str]:
@@ -262,55 +184,6 @@ def _responses(analysis: SensitivityAnalysis) -> Iterator[str]:
             number = response_id(analysis, mode, row)
             yield f"DRESP1,{number},S,DISP,,,{component},{mode + 1},{node}"
             yield f"DCONSTR,{CONSTRAINTS},{number}"
-
-
-OPERATORS: dict[type[ast.operator], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
-}  # fmt: skip
-#: Columns of the equation in its first line, and in the others.
-FIRST, REST = 56, 64
-#: What a line is not broken within: a number, a name, a power, or one other character.
-TOKEN = re.compile(r"\d+\.\d*(?:E[+-]?\d+)?|\w+|\*\*|.")
-
-
-def in_fortran(expression: str, names: Mapping[str, str]) -> str:
-    """Return an expression in Nastran's syntax; names: the name of each parameter there."""
-    return _text(read(expression), names)
-
-
-def real(value: float) -> str:
-    """A number that Nastran takes for a real one."""
-    text = repr(float(value)).upper()
-    if "." not in text:
-        text = text.replace("E", ".0E") if "E" in text else f"{text}.0"
-    return f"({text})" if value < 0.0 else text
-
-
-def equation_card(number: int, arguments: list[str], text: str) -> list[str]:
-    """A DEQATN card."""
-    rows = [""]
-    for token in TOKEN.findall(f"F({','.join(arguments)})={text}"):
-        if len(rows[-1]) + len(token) > (FIRST if len(rows) == 1 else REST):
-            rows.append("")
-        rows[-1] += token
-    heads = [f"{'DEQATN':<8}{number:<8}", *[" " * 8] * (len(rows) - 1)]
-    return [f"{head}{row}" for head, row in zip(heads, rows, strict=True)]
-
-
-def _text(node: ast.expr, names: Mapping[str, str]) -> str:
-    given = [_text(part, names) for part in parts(node)]
-    match node:
-        case ast.BinOp(op=op):
-            return f"({given[0]}{OPERATORS[type(op)]}{given[1]})"
-        case ast.UnaryOp(op=op):
-            return f"(-{given[0]})" if isinstance(op, ast.USub) else given[0]
-        case ast.Call(func=ast.Name(id=name)):
-            return f"{name.upper()}({','.join(given)})"
-        case ast.Name(id=name):
-            return real(math.pi) if name == "pi" else names[name]
-        case ast.Constant(value=int() | float() as value):
-            return real(float(value))
-    raise AssertionError(ast.dump(node))
 
 
 #: The first words of the record of DESVAR cards in EDOM, and words of a response in DSCMCOL.

@@ -22,6 +22,7 @@ from modetune.adapters.nastran.case_control import (
 from modetune.adapters.nastran.constraints import fixed_components
 from modetune.adapters.nastran.damping import damped_groups, dampers
 from modetune.adapters.nastran.deck import NastranDeck, with_lines, write_edited
+from modetune.adapters.nastran.design_export import design_text
 from modetune.adapters.nastran.design_variables import read_design
 from modetune.adapters.nastran.fields import CardField, changed_texts, read_number
 from modetune.adapters.nastran.harmless import (
@@ -63,6 +64,7 @@ from modetune.core.expressions import degree
 from modetune.core.mesh import Fixed, Mesh
 from modetune.core.modes import Integers
 from modetune.core.parameters import DAMPING, Parameter, Values, assigned, driven_by
+from modetune.core.storage.files import writing
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.static_model import LoadCase
@@ -292,7 +294,10 @@ class NastranModel(Deck):
         return self.edit(pair for pair in every if pair[0].quantity not in DAMPING)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
-        return write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)
+        deck = write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)
+        with writing(folder / f"{deck.stem}_design.bdf") as part:
+            part.write_text(design_text(self.deck, self.parameters, self.places, values))
+        return deck
 
     def undamped(self) -> str:
         try:

@@ -112,7 +112,7 @@ def _bounds(variable: DesignVariable, reach: float | None) -> tuple[tuple[float,
         own = max(lower, start - reach * size), min(upper, start + reach * size)
         return own, f"{limits}, where the model is impossible"
     low, high = sorted((start / NEAR, start * NEAR))
-    far_low = lower < start - FAR * size or (start > 0.0 and lower < start / FAR)
-    far_high = upper > start + FAR * size or (start < 0.0 and upper > start / FAR)
+    far_low = lower < start - FAR * size or (start > 0.0 and abs(lower) < size / FAR)
+    far_high = upper > start + FAR * size or (start < 0.0 and abs(upper) < size / FAR)
     bounds = (low if far_low else lower, high if far_high else upper)
     return bounds, limits if far_low or far_high else ""

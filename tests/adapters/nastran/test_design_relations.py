@@ -9,7 +9,7 @@ import pytest
 from pyNastran.bdf.bdf import BDF
 
 from modetune.adapters.nastran.deck import read_deck
-from modetune.adapters.nastran.design import equation_card, in_fortran
+from modetune.adapters.nastran.design_relations import equation_card, in_fortran
 from modetune.adapters.nastran.dialect import DIALECTS
 from modetune.adapters.nastran.job import job_text
 from modetune.adapters.nastran.model import understand
