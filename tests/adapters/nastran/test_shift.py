@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from modetune.adapters.nastran.solver import mystran_solver
-from tests.adapters.solved import needs_mystran, solved
+from modetune.adapters.translation.solver import translated_solver
+from tests.adapters.solved import needs_ccx, needs_mystran, solved
 
 ALUMINIUM = "MAT1,1,7.+10,,.3,2700."
 E, RHO, NU = 7e10, 2700.0, 0.3
@@ -75,3 +76,18 @@ def test_free_structures_of_low_frequency_keep_all_their_modes(
     assert result.n_rigid == 6
     # Meshes of this size are within 2 % (the plate's fourth), bars within 0.1 %.
     np.testing.assert_allclose(result.modes.frequencies_hz[6:], wanted, rtol=0.02)
+
+
+@needs_ccx
+@pytest.mark.parametrize(("lighter", "warns"), [(1.0, True), (1e4, False)])
+def test_calculix_warns_of_frequencies_below_its_own_shift(
+    lighter: float, warns: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bulk, wanted = ring()
+    light = bulk.replace("2700.", f"{RHO / lighter:.2f}")
+    result = solved(light, tmp_path, translated_solver, n_modes=10)
+    assert ("below 0.16 Hz" in caplog.text) == warns
+    if not warns:
+        assert result.n_rigid == 6
+        found = result.modes.frequencies_hz[6:]
+        np.testing.assert_allclose(found, np.sqrt(lighter) * np.array(wanted[:4]), rtol=0.01)
