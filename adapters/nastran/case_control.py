@@ -21,10 +21,10 @@ from modetune.core.errors import ModelError
 #: or that change no modes.
 FOLLOWED = frozenset({
     "SPC", "MPC", "SUPORT", "SUPORT1", "TEMPERATURE", "TEMP", "AUTOSPC", "RIGID", "BC", "BOUTPUT",
-    "K2GG",
+    "K2GG", "M2GG", "K42GG",
 })  # fmt: skip
 #: All that select parts of the model.
-SELECTIONS = FOLLOWED | {"NSM", "MFLUID", "M2GG", "K42GG", "A2GG", "BGSET", "ADAPT"}
+SELECTIONS = FOLLOWED | {"NSM", "MFLUID", "A2GG", "BGSET", "ADAPT"}
 #: A temperature that loads alone: no modes know it.
 LOADING = re.compile(r"TEMP\w*\s*\(\s*LOAD\s*\)", re.IGNORECASE)
 #: Commands whose meaning a plain modal job would lose, and why it is not a modal job then.
@@ -118,11 +118,21 @@ class CaseControl:
         found = (text for text in self.selections if text.upper().startswith("TEMP"))
         return next((text for text in found if not LOADING.match(text)), "")
 
-    @property
-    def added_stiffness(self) -> str:
-        """The DMIG that K2GG adds to the stiffness, or a sum of several; empty for none."""
-        found = (re.fullmatch(r"K2GG\s*=\s*(.*)", s, re.IGNORECASE) for s in self.selections)
-        return next((match.group(1).strip().upper() for match in found if match), "")
+    def added(self, name: str) -> tuple[tuple[float, str], ...]:
+        """The DMIG that K2GG or M2GG adds to the model's matrix, each behind its factor.
+
+        Raises ModelError.
+        """
+        texts = (re.fullmatch(rf"{name}\s*=\s*(.*)", s, SET_FLAGS) for s in self.selections)
+        text = next((match.group(1).upper() for match in texts if match), "")
+        found = list[tuple[float, str]]()
+        for term in re.split(r"[\s,()]+(?![*])", text.strip("() \n")) if text else ():
+            factor, _, matrix = term.rpartition("*")
+            try:
+                found.append((read_number(factor) if factor else 1.0, matrix))
+            except ValueError:
+                raise ModelError(f"{name} = {text}: {factor!r} is no factor of {matrix}") from None
+        return tuple(found)
 
     def without(self, absent: Iterable[str]) -> CaseControl:
         """Return the case control without these selections."""

@@ -69,6 +69,10 @@ def job_text(
         raise ModelError("MYSTRAN gives no sensitivities")
     case = read_case_control(model.deck)
     own = dialect.name == "mystran"
+    if own and (case.added("K2GG") or case.added("M2GG")):
+        raise ModelError(
+            f"{model.deck.file}: MYSTRAN has no K2GG and M2GG (DMIG); use `solver: calculix`"
+        )
     if own:  # which breaks off where Nastran warns
         case = case.without(absent_sets(model.deck, case))
     n_modes = LEAST_MODES if isinstance(analysis, MatrixAnalysis) else analysis.n_modes
@@ -172,6 +176,7 @@ def _bulk(
         return card.name in out or (card.name == "PARAM" and card.text(1) in own)
 
     if dialect.name == "mystran":
+        out |= {"DMIG"}  # of loads and damping, or not selected
         deck = with_lines(model.deck, changed) if changed else model.deck
         bulk = cache(partial(model.bulk_at, dict(changed)))
         return mystran_cards(deck, bulk, left_out, n_modes, model.masses() == "lumped")

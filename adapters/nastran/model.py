@@ -118,7 +118,9 @@ class NastranModel(Deck):
                 *_temperatures(deck, case),
             ]
         )
-        if not any(map(has_mass, (*self.bulk.masses.values(), *self.bulk.elements.values()))):
+        if not case.added("M2GG") and not any(
+            map(has_mass, (*self.bulk.masses.values(), *self.bulk.elements.values()))
+        ):
             raise ModelError(
                 f"{deck.file}: nothing in the model has mass, so it has no modes; give its "
                 "materials a density (RHO of MAT1) or grid points a CONM2"

@@ -116,23 +116,30 @@ def _symmetric(element: Any) -> Floats:
 
 def translate_scalar_masses(model: Assembly) -> None:
     """Add all masses that are not a body's; after all equations."""
-    builder, freedoms = model.builder, model.freedoms
-    side, origin = 1e-3 * builder.size, next(iter(builder.coordinates.values()))
     for element in model.bulk.masses.values():
         try:
-            parts = list(_scalar_masses(element, freedoms))
+            parts = list(_scalar_masses(element, model.freedoms))
         except ValueError as reason:
             model.refuse(element, reason)
             continue
         for count, (form, mass) in enumerate(parts):
-            nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in BRICK_CORNERS]
-            for node in nodes:
-                own = (node, 1)
-                freedoms.tie([difference({own: 1.0}, form)], [own], f"node {node}")
-                for component in (2, 3):
-                    builder.fixed(node, component)
-            name = f"{SCALAR_MASS}{element.eid}_{count}"
-            _add_brick(model, nodes, name, mass * model.wtmass / side**3, model.sets_of(element))
+            name = f"{element.eid}_{count}"
+            add_scalar_mass(model, name, form, mass * model.wtmass, model.sets_of(element))
+
+
+def add_scalar_mass(
+    model: Assembly, name: str, form: Form, mass: float, sets: Sequence[str] = ()
+) -> None:
+    """Add a mass that moves along a linear form: a brick whose corners all do."""
+    builder = model.builder
+    side, origin = 1e-3 * builder.size, next(iter(builder.coordinates.values()))
+    nodes = [builder.new_node(origin + 0.5 * side * signs) for signs in BRICK_CORNERS]
+    for node in nodes:
+        own = (node, 1)
+        model.freedoms.tie([difference({own: 1.0}, form)], [own], f"node {node}")
+        for component in (2, 3):
+            builder.fixed(node, component)
+    _add_brick(model, nodes, SCALAR_MASS + name, mass / side**3, sets)
 
 
 def _scalar_masses(element: Any, freedoms: Freedoms) -> Iterator[tuple[Form, float]]:

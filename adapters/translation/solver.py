@@ -232,7 +232,7 @@ class TranslatedDeck(NastranModel):
                 stem,
                 spc=case.selected("SPC"),
                 mpc=case.selected("MPC"),
-                k2gg=case.added_stiffness,
+                added={name: case.added(name) for name in ("K2GG", "M2GG")},
                 single=self._single,
                 wtmass=self.wtmass,
                 weighed=not changed,  # other numbers are translated in the same way

@@ -1,9 +1,10 @@
-"""Stiffness given as a matrix: GENEL, and the DMIG that K2GG selects.
+"""Stiffness and mass given as matrices: GENEL, and the DMIG that K2GG and M2GG select.
 
 A symmetric matrix K with eigenvalues l_i and eigenvectors v_i has the energy of one spring l_i on
 each form v_i' u. Rotations are multiplied by the model's size first, which makes the units alike. A
 GENEL of flexibility Z has K = Z^-1; with support freedoms u_d the forms are those of u_l - S u_d,
-where S, if it is not given, is the rigid motion that six of them determine.
+where S, if it is not given, is the rigid motion that six of them determine. A mass matrix is
+one mass for each form in the same way.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.translation.assembly import Assembly, Form, Freedoms, difference, total
+from modetune.adapters.translation.concentrated_masses import add_scalar_mass
 from modetune.adapters.translation.linear_constraints import Component, rigid_motions
 from modetune.adapters.translation.springs import Deformations, add_springs
 from modetune.core.modes import Floats
@@ -24,14 +26,38 @@ SYMMETRIC = 6
 ROUNDING = 1e-13
 
 
-def translate_matrices(model: Assembly, k2gg: str) -> None:
-    """Add all GENEL and the matrix k2gg, a name or nothing; after the constraints."""
+#: DMIG with their factors.
+Added = Sequence[tuple[float, str]]
+
+
+def translate_matrices(model: Assembly, k2gg: Added) -> None:
+    """Add all GENEL and the matrices of K2GG; after the constraints."""
     springs = add_springs(model, {"GENEL": _general})
-    if k2gg:
+    for factor, name in k2gg:
         try:
-            springs.add(_direct(model.bulk, k2gg, model.freedoms), ())
+            forms = _direct(model.bulk, name, model.freedoms)
         except ValueError as reason:
-            model.problems.append(f"K2GG = {k2gg}: {reason}")
+            model.problems.append(f"K2GG = {name}: {reason}")
+        else:
+            springs.add([(form, factor * value) for form, value in forms], ())
+
+
+def translate_added_mass(model: Assembly, m2gg: Added) -> None:
+    """Add the matrices of M2GG, which WTMASS does not multiply; after all equations."""
+    for factor, name in m2gg:
+        try:
+            forms = _direct(model.bulk, name, model.freedoms)
+        except ValueError as reason:
+            model.problems.append(f"M2GG = {name}: {reason}")
+            continue
+        for count, (form, mass) in enumerate(forms):
+            add_scalar_mass(model, f"{name}_{count}", form, factor * mass)
+
+
+def added_rotations(bulk: Any, k2gg: Added) -> set[int]:
+    """Return the grid points whose rotations the matrices of K2GG hold."""
+    cards = [bulk.dmig[name] for _, name in k2gg if name in bulk.dmig]
+    return {int(node) for card in cards for node, component in card.GCj if component > 3}
 
 
 def matrix_components(element: Any) -> list[Component]:
@@ -86,7 +112,7 @@ def _direct(bulk: Any, name: str, freedoms: Freedoms) -> Deformations:
     if card is None:
         raise ValueError("this DMIG is not there")
     if card.matrix_form != SYMMETRIC or card.tin not in (1, 2):
-        raise ValueError("a stiffness requires a real symmetric DMIG (IFO 6, TIN 1 or 2)")
+        raise ValueError("a stiffness or mass requires a real symmetric DMIG (IFO 6, TIN 1 or 2)")
     pairs = [(tuple(a), tuple(b)) for a, b in zip(card.GCi, card.GCj, strict=True)]
     components = sorted({end for pair in pairs for end in pair})
     places = {component: place for place, component in enumerate(components)}

@@ -10,7 +10,7 @@ Real normal modes know no loads, no damping, no design variables and no requests
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,12 @@ from modetune.adapters.translation.shells import (
 from modetune.adapters.translation.solids import KINDS as SOLIDS
 from modetune.adapters.translation.solids import translate_solids
 from modetune.adapters.translation.springs import translate_springs
-from modetune.adapters.translation.stiffness_matrices import matrix_components, translate_matrices
+from modetune.adapters.translation.stiffness_matrices import (
+    added_rotations,
+    matrix_components,
+    translate_added_mass,
+    translate_matrices,
+)
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats
 
@@ -74,6 +79,8 @@ TRANSLATED = frozenset(
     "MAT1 MAT2 MAT3 MAT8 MAT9 MAT10 MAT11 RBE1 RBE2 RBE3 RBAR RROD RSPLINE RBAR1 "
     "SPC SPC1 SPCADD SPCOFF SPCOFF1 MPC MPCADD PARAM MDLPRM".split()
 )
+#: No DMIG at all.
+NONE_ADDED: Mapping[str, Sequence[tuple[float, str]]] = {}
 #: Families of cards of which those count alone that elements use.
 BY_USE = ("P", "MAT")
 
@@ -164,7 +171,7 @@ def translate(
     single: frozenset[int] = frozenset(),
     spc: int = 0,
     mpc: int = 0,
-    k2gg: str = "",
+    added: Mapping[str, Sequence[tuple[float, str]]] = NONE_ADDED,
     wtmass: float = 1.0,
     weighed: bool = True,
     lumped: bool = False,
@@ -172,9 +179,10 @@ def translate(
     """Translate a cross-referenced pyNastran BDF.
 
     name: of the deck, for messages. single: elements that get a separate set `E<eid>`. spc,
-    mpc: constraint sets, 0 for none. k2gg: the DMIG added to the stiffness, if any. wtmass:
-    the factor on all masses, PARAM,WTMASS. weighed: whether the masses are held against the cards'.
-    lumped: whether elements' masses are at their grid points alone, where they can be.
+    mpc: constraint sets, 0 for none. added: factors and names of the DMIG that K2GG and M2GG add.
+    wtmass: the factor on all masses but M2GG, PARAM,WTMASS. weighed: whether the masses are held
+    against the cards'. lumped: whether elements' masses are at their grid points alone, where they
+    can be.
     Raises ModelError with every card and feature that cannot be translated.
     """
     if not bulk.nodes and not bulk.spoints:
@@ -183,7 +191,7 @@ def translate(
     builder = _builder(bulk)
 
     shells, edges = understand_shells(bulk, builder, problems)
-    held = _held_rotations(bulk)
+    held = _held_rotations(bulk) | added_rotations(bulk, added.get("K2GG", ()))
     bending = {node for shell in shells if shell.law.bends for node in shell.nodes}
     freedoms = _freedoms(bulk, builder, bending, held, problems)
     at_nodes = lumped_properties(bulk) if lumped else frozenset[int]()
@@ -194,7 +202,7 @@ def translate(
     translate_rigid_elements(bulk, freedoms, edges, problems)
     translate_beams(model)
     translate_springs(model)
-    translate_matrices(model, k2gg)
+    translate_matrices(model, added.get("K2GG", ()))
     translate_shear_panels(model)
     densities = solid_densities(bulk, at_nodes)
     parts = lumped_solids(bulk, densities) + lumped_shells(shells, builder, at_nodes)
@@ -203,6 +211,7 @@ def translate(
     masses = point_masses(bulk, problems) + masses
     translate_masses(model, masses)
     translate_scalar_masses(model)
+    translate_added_mass(model, added.get("M2GG", ()))
     written = write_shells(model, shells, edges, _held(bulk), groups, densities)
     hold_leaders(freedoms, leaders(bulk) - held - freedoms.turning)
     if problems:
