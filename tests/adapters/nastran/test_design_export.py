@@ -128,3 +128,17 @@ def test_a_public_deck_of_sol_200_comes_back(shared_data: Path, tmp_path: Path) 
     for name, own in expected.items():
         assert found[re.sub(r"\W", "_", name)] == pytest.approx(own)
     assert len(read_deck(tmp_path / "updated" / "model.bdf").named(*DESIGN)) > 2 * len(found) - 1
+
+
+def test_names_that_are_no_labels_stay_in_comments(tmp_path: Path) -> None:
+    campaign = campaign_of(
+        tmp_path,
+        plain(PLATE),
+        "  - {name: wing-root.E, quantity: youngs_modulus, material: 1, bounds: [0.7, 1.3]}\n"
+        "  - {name: 1st, quantity: density, material: 1, bounds: [0.7, 1.3]}\n",
+    )
+    values = dict.fromkeys(("wing-root.E", "1st"), 1.1)
+    deck = campaign.case.solver.deck.write_updated(values, tmp_path / "updated")
+    text = deck.with_name("model_design.bdf").read_text()
+    assert "$ wingro_1: wing-root.E\nDESVAR*" in text
+    assert "$ st_2: 1st\nDESVAR*" in text
