@@ -297,9 +297,10 @@ class NastranModel(Deck):
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         deck = write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)
-        with writing(folder / f"{deck.stem}_design.bdf") as part:
-            text = design_text(self.deck, self.parameters, self.places, values)
-            part.write_bytes(text.encode("utf-8", "surrogateescape"))
+        if len(self.deck.parts) < 2:  # parts have other numbers in the deck than here
+            with writing(folder / f"{deck.stem}_design.bdf") as part:
+                text = design_text(self.deck, self.parameters, self.places, values)
+                part.write_bytes(text.encode("utf-8", "surrogateescape"))
         return deck
 
     def undamped(self) -> str:

@@ -154,6 +154,8 @@ def test_a_parameter_edits_the_line_of_its_part(tmp_path: Path) -> None:
     old, new = path.read_text().splitlines(), updated.splitlines()
     changed = [(a, b) for a, b in zip(old, new, strict=True) if a != b]
     assert changed == [("PSHELL,1,1,.003,1,,1 $ thin", "PSHELL,1,1,.0045,1,,1 $ thin")]
+    # A design model would name numbers that the deck does not have.
+    assert [path.name for path in (tmp_path / "updated").iterdir()] == ["model.bdf"]
 
 
 def test_materials_of_parts_are_edited_one_by_one_or_together(tmp_path: Path) -> None:
