@@ -56,6 +56,8 @@ NUMBERS = {
     "CHEXA": "EPN*", "CPENTA": "EPN*", "CTETRA": "EPN*", "CPYRAM": "EPN*",
     "CELAS1": "EPN-N", "CELAS2": "E-N-N", "CELAS3": "EPNN", "CELAS4": "E-NN",
     "CMASS1": "EPN-N", "CMASS2": "E-N-N", "CMASS3": "EPNN", "CMASS4": "E-NN",
+    "CDAMP1": "EPN-N", "CDAMP2": "E-N-N", "CDAMP3": "EPNN", "CDAMP4": "E-NN", "CVISC": "EPNN",
+    "PDAMP": "P-P-P-P", "PVISC": "P---P",
     "CBUSH": "EPNNN--C-C", "CONM1": "ENC", "CONM2": "ENC",
     "PSHELL": "PM-M-M----M", "PCOMP": "P-------" + "M---" * 200, "PSOLID": "PMC", "PBAR": "PM",
     "PBARL": "PM", "PBEAM": "PM", "PBEAML": "PM", "PROD": "PM", "PTUBE": "PM", "PSHEAR": "PM",
@@ -75,7 +77,10 @@ RANGES = {"SPOINT": 1, "SPC1": 3, "RBE2": 4}
 #: Parameters that change modes, and that one model has once.
 ONE_VALUE = frozenset(("WTMASS", "COUPMASS", *CHANGING))
 #: How cards of elements begin, and the fields of a RBE3 before its weights.
-ELEMENTS, RBE3_HEAD = ("CQ", "CT", "CH", "CP", "CB", "CR", "CE", "CM", "CS", "CONROD", "R"), 4
+ELEMENTS = ("CQ", "CT", "CH", "CP", "CB", "CR", "CE", "CM", "CS", "CD", "CV", "CON", "R")
+RBE3_HEAD = 4
+#: Fields of the numbers of cards with several properties.
+PROPERTIES_AT = {"PMASS": (1, 3, 5, 7), "PDAMP": (1, 3, 5, 7), "PELAS": (1, 5), "PVISC": (1, 5)}
 #: What follows what in a RBE3: weight, components, points; behind UM points and components.
 FOLLOWS = {"": "", "weight": "components", "components": "N", "N": "N", "um": "um components",
            "um components": "um"}  # fmt: skip
@@ -104,6 +109,13 @@ def merged_cards(lines: Sequence[Line], parts: Sequence[Part]) -> tuple[NastranC
     merge = Merge(lines, max(1000, 10 ** len(str(largest))), len(sections) > 1)
     for number, own in sections:
         merge.add(number, own)
+    if len(merge.numbers) > 1 and len([own for own in merge.numbers.values() if own]) > 1:
+        merge.problems += [
+            f"{lines[positions.start - 1].where}: superelements: part {number} is joined to no "
+            "other part; check the places of its points, SEBULK's tolerance or SECONCT"
+            for number, positions in parts
+            if number in merge.alone - {0}
+        ]
     if merge.problems:
         raise ModelError("\n".join(dict.fromkeys(merge.problems)))
     return tuple(sorted(merge.cards, key=lambda card: card.lines[0]))
@@ -113,9 +125,11 @@ def merged_cards(lines: Sequence[Line], parts: Sequence[Part]) -> tuple[NastranC
 class MergedPoint:
     """A point of the merged model.
 
-    at: of its card in the model's cards; place: None of a scalar point; used: by an element.
+    part: its first; at: of its card in the model's cards; place: None of a scalar point; used: by
+    an element.
     """
 
+    part: int
     card: NastranCard
     at: int
     place: Floats | None
@@ -130,6 +144,7 @@ class Merge:
     by kind and number, points apart. numbers: of each part's points in the merged model. searches:
     whether a part is joined by SECONCT alone, and its tolerance. pairs: what SECONCT joins, as part
     and point. values: of parameters. systems: those of numbers alone, as they read.
+    alone: sections with points of which none is joined.
     """
 
     lines: Sequence[Line]
@@ -144,6 +159,7 @@ class Merge:
     pairs: dict[tuple[int, int], set[tuple[int, int]]] = field(default_factory=dict)
     values: dict[str, str] = field(default_factory=dict)
     systems: set[tuple[str, ...]] = field(default_factory=set)
+    alone: set[int] = field(default_factory=set)
 
     def where(self, card: NastranCard) -> str:
         return self.lines[card.lines[0]].where
@@ -162,27 +178,34 @@ class Merge:
         ]
         maps = self._maps(part, own)
         places = self._places(own) if self.several else {}
+        if any(card.name == "GRID" for card in own):
+            self.alone.add(part)
         maps["N"] = self.numbers[part] = self._joined(part, own, places, maps["C"])
-        used = {
-            number
-            for card in own
-            if card.name.startswith(ELEMENTS)
-            for kind, number in _numbered(card)
-            if kind == "N"
-        }
+        used = set[int]()
+        for card in own if self.several else ():
+            points = [n for kind, n in _numbered(card) if kind == "N"]
+            if card.name.startswith(ELEMENTS):
+                used.update(points)
+                for number in points:
+                    if number not in maps["N"]:
+                        self.refuse(card, f"{card.text(1)} names point {number}, which part {part} "
+                                          "does not have; give it a GRID or SPOINT")  # fmt: skip
         for card in own:
+            if not self.several:
+                self.cards.append(card)
+                continue
             new = _renumbered(card, maps)
             if card.name == "GRID" and card.text(1).isdecimal():
-                self._add_point(new, int(card.text(1)), places, used)
+                self._add_point(part, new, int(card.text(1)), places, used)
                 continue
-            if card.name == "SPOINT" and self.several:
+            if card.name == "SPOINT":
                 fresh = [number for number in _points(new) if number not in self.points]
-                point = MergedPoint(new, len(self.cards), None, used=True)
+                point = MergedPoint(part, new, len(self.cards), None, used=True)
                 self.points.update(dict.fromkeys(fresh, point))
                 if not fresh:
                     continue
                 new = _listed(new, fresh)
-            if card.name in SYSTEMS and self.several:
+            if card.name in SYSTEMS:
                 if _texts(new) in self.systems:
                     continue
                 self.systems.add(_texts(new))
@@ -216,16 +239,16 @@ class Merge:
         return False
 
     def _add_point(
-        self, card: NastranCard, own: int, places: Mapping[int, Floats], used: set[int]
+        self, part: int, card: NastranCard, own: int, places: Mapping[int, Floats], used: set[int]
     ) -> None:
         """Add a grid point by its number in the merged model; own: that in its part."""
         number = int(card.text(1))
         there = self.points.get(number)
         if there is None:
-            self.points[number] = MergedPoint(card, len(self.cards), places.get(own), own in used)
+            self.points[number] = MergedPoint(
+                part, card, len(self.cards), places.get(own), own in used
+            )
             self.cards.append(card)
-        elif not self.several:
-            self.cards.append(card)  # repeated, which others judge
         elif own in used:
             if there.used and there.card.text(PS) != card.text(PS):
                 where = f"the point that it is joined to, at {self.where(there.card)}"
@@ -305,6 +328,7 @@ class Merge:
                     self.refuse(card, f"{number} of part {part} is at the place of several points; "
                                       "say by SECONCT which two are one")  # fmt: skip
                 for other in others:
+                    self.alone -= {part, self.points[other].part}
                     self._check_joined(card, number, self.points[other], place, near, systems)
                 new = next(iter(others), number)
                 clash = not others and part and number in self.points
@@ -407,7 +431,7 @@ def _points(card: NastranCard) -> list[int]:
 def _owned(card: NastranCard) -> Iterator[tuple[str, int]]:
     """Yield what a card numbers, other than points."""
     kind = NUMBERS[card.name][:1]
-    places = {"PMASS": (1, 3, 5, 7), "PELAS": (1, 5)}.get(card.name, (1,))
+    places = PROPERTIES_AT.get(card.name, (1,))
     for place in (1, 5) if card.name.startswith("CORD1") else places:
         if kind in ("C", "E", "P", "M") and card.text(place).isdecimal():
             yield kind, int(card.text(place))

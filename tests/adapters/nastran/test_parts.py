@@ -229,6 +229,8 @@ TWO = "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nCONM2,1,2,,1.\nCELAS2,3,5.,1,1,2,1\n"
          + TWO.replace("GRID,1,,0.,0.,0.", "GRID,1,,0.,0.,0.,1"), "other axes"),
         ("SECONCT,1,0,,,,,,\n,2,1\n", TWO, "not at the place of the point"),
         ("SECONCT,1,0,,,,,,\n,2,THRU,4,1,THRU,3\n", TWO, "SECONCT is read as pairs"),
+        ("", TWO.replace("0.,0.,0.", "0.,0.,4."), "part 1 is joined to no other part"),
+        ("", TWO.replace("1,2,,1.", "1,9,,1."), "CONM2 1 names point 9, which part 1 does not"),
         ("", TWO + "BEGIN SUPER = 1\n" + TWO, "superelements: BEGIN SUPER = 1 is none of"),
     ],
 )  # fmt: skip
@@ -238,3 +240,38 @@ def test_what_is_not_exactly_one_model_is_refused_by_name(
     own = "GRID,1,,0.,0.,0.\nCELAS2,1,7.,1,1,1,2\n"
     with pytest.raises(ModelError, match=said):
         job_of(f"{HEAD}{residual}{own}BEGIN SUPER = 1\n{part}", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("card", "expected"),
+    [
+        ("CQUAD8,1,1,1,2,1,2,1,2\n,1,2,.1,.1,.1,.1,1",
+         "CQUAD8 2001 2001 2001 2002 2001 2002 2001 2002 2001 2002 .1 .1 .1 .1 2001"),
+        ("PCOMP,1,-.1,,,,,,SYM\n,1,.1,0.,YES,1,.2,45.,YES",
+         "PCOMP 2001 -.1 SYM 2001 .1 0. YES 2001 .2 45. YES"),
+        ("PSHELL,1,1,.1,1,,1\n,-.1,.1,1", "PSHELL 2001 2001 .1 2001 2001 -.1 .1 2001"),
+        ("CBUSH,1,1,1,2,,,,1", "CBUSH 2001 2001 2001 2002 2001"),
+        ("CELAS1,1,1,1,1,2,2", "CELAS1 2001 2001 2001 1 2002 2"),
+        ("CDAMP2,1,5.,1,1,2,2", "CDAMP2 2001 5. 2001 1 2002 2"),
+        ("CBEAM,1,1,1,2,1", "CBEAM 2001 2001 2001 2002 2001"),
+        ("CONROD,1,1,2,1,5.", "CONROD 2001 2001 2002 2001 5."),
+        ("MPC,1,1,1,1.,2,2,-1.\n,,1,3,1.", "MPC 1 2001 1 1. 2002 2 -1. 2001 3 1."),
+        ("RBE3,1,,1,123,1.,123,2,1\n,2,.5,12,2,UM,1,2", "RBE3 2001 2001 123 1. 123 2002 2001 "
+         "2002 .5 12 2002 UM 2001 2"),
+    ],
+)  # fmt: skip
+def test_all_numbers_of_clashing_cards_are_moved(card: str, expected: str, tmp_path: Path) -> None:
+    # Points 1 and 2, system, property, material and element 1 are others in the main section.
+    others = (
+        "GRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nCORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\n"
+        "PSHELL,1,1,.5\nMAT1,1,1.+5,,.3\nCELAS2,1,7.,1,1,2,1\nGRID,3,,9.,9.,9.\n"
+    )
+    own = "GRID,1,,0.,0.,5.\nGRID,2,,1.,0.,5.\nGRID,4,,9.,9.,9.\n"
+    own += "CORD2R,1,,0.,0.,1.,0.,0.,5.\n,1.,0.,0.\n"
+    own += "" if card.startswith("P") else "PROD,1,1,2.\n"
+    own += "MAT1,1,2.+5,,.3\n"
+    path = tmp_path / "model.bdf"
+    path.write_text(f"{HEAD}{others}BEGIN SUPER = 2\n{own}{card}\n")
+    read = read_deck(path)
+    found = [" ".join(filter(None, map(item.text, range(len(item.fields))))) for item in read.cards]
+    assert expected in found
