@@ -111,11 +111,12 @@ def difference(found: ModeSet, wanted: ModeSet) -> Difference:
         return Difference(0.0)
     columns = np.arange(theirs.n_modes)
     common = np.array([dof in set(dofs(mine)) for dof in dofs(theirs)], dtype=np.bool_)
-    if np.count_nonzero(common) >= FREEDOMS * theirs.n_modes:
-        place = {dof: row for row, dof in enumerate(dofs(mine))}
-        rows = [place[dof] for dof, both in zip(dofs(theirs), common, strict=True) if both]
-        shapes = theirs.mode_shapes[common]
-        table = mac(shapes, mine.mode_shapes[rows])
+    place = {dof: row for row, dof in enumerate(dofs(mine))}
+    rows = [place[dof] for dof, both in zip(dofs(theirs), common, strict=True) if both]
+    shapes, own = theirs.mode_shapes[common], mine.mode_shapes[rows]
+    seen = bool(np.abs(shapes).any(axis=0).all() and np.abs(own).any(axis=0).all())
+    if seen and len(rows) >= FREEDOMS * theirs.n_modes:
+        table = mac(shapes, own)
         # CalculiX has no rotations: what only they show is paired by its frequency.
         at_rest = np.abs(shapes).max(axis=0) < AT_REST * np.abs(theirs.mode_shapes).max(axis=0)
         near = 1.0 - np.abs(mine.frequencies_hz[None] / theirs.frequencies_hz[:, None] - 1.0)
