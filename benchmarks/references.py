@@ -43,6 +43,8 @@ RIGHT = 0.01
 HEAD = 10_000
 #: Solutions whose table of real eigenvalues is not of normal modes: buckling.
 BUCKLING = re.compile(r"\s*SOL\s+(105|5|SEBUCKL)\b", re.IGNORECASE)
+#: Parts of a deck, each of which Nastran reduces to its boundary and, if asked, some of its modes.
+SUPERELEMENTS = re.compile(r"^\s*(BEGIN\s+(BULK\s+)?SUPER|SESET\b)", re.IGNORECASE | re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +73,15 @@ class Difference:
 def reference(path: Path) -> Reference | None:
     """Return the normal modes that lie next to a deck, None without any.
 
-    Those of a reduced model (ASET, OMIT) are not the ones of the whole model, which modetune runs.
+    Those of a reduced model (ASET, OMIT, superelements) are not the ones of the whole model, which
+    modetune runs.
     """
     try:
         deck = read_deck(path)
     except ModelError:
         return None
-    if _buckles(deck) or deck.named(*REDUCTIONS):
+    parts = SUPERELEMENTS.search(path.read_text(encoding="latin-1"))
+    if _buckles(deck) or deck.named(*REDUCTIONS) or parts:
         return None
     for other in sorted(path.parent.iterdir()):
         if other.stem.lower() != path.stem.lower() or other == path:
