@@ -380,11 +380,14 @@ def choice_note(deck: NastranDeck) -> str:
 
 
 def range_note(deck: NastranDeck) -> str:
-    """Return what a lower frequency of the selected EIGRL or EIGR means here; empty without one."""
+    """Return what a lower frequency of the selected EIGRL or EIGR means here; empty without one.
+
+    Raises ModelError where it is no number.
+    """
     method = read_case_control(deck).method
     for card in deck.named("EIGRL", "EIGR"):
-        lowest = card.text(LOWEST[card.name])
-        if card.text(1) == str(method) and lowest[:1] not in ("", "-") and read_number(lowest):
+        if card.text(1) == str(method) and (deck.number(card, LOWEST[card.name]) or 0.0) > 0.0:
+            lowest = card.text(LOWEST[card.name])
             return (
                 f"{deck.where(card)}: the lower frequency {lowest} of {card.name} is left out: "
                 "modes are counted from the lowest one, also where the deck's own run has others "

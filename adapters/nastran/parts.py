@@ -261,7 +261,11 @@ class Merge:
             self.refuse(card, f"of type {card.text(2)} is no part of this deck's own; write it out "
                               "with BEGIN SUPER, or use its matrices (K2GG, M2GG)")  # fmt: skip
         elif card.text(1).isdecimal():
-            near = read_number(card.text(5)) if card.text(5) else NEAR
+            try:
+                near = read_number(card.text(5)) if card.text(5) else NEAR
+            except ValueError as error:
+                self.refuse(card, f"has a tolerance that cannot be read: {error}")
+                return
             self.searches[int(card.text(1))] = (card.text(4) == "MANUAL", near)
 
     def _connection(self, card: NastranCard) -> None:

@@ -254,8 +254,8 @@ def test_a_mass_factor_of_the_case_control_counts(tmp_path: Path) -> None:
 
 
 def test_selections_that_a_translation_would_lose_are_refused(tmp_path: Path) -> None:
-    path = sheet_campaign(tmp_path, sheet(".01", "M2GG = ADDED\nPARAM,CK1,3."))
-    with pytest.raises(CampaignError, match=r"(?s)case control M2GG.*case control.*PARAM,CK1,3"):
+    path = sheet_campaign(tmp_path, sheet(".01", "A2GG = ADDED\nPARAM,CK1,3."))
+    with pytest.raises(CampaignError, match=r"(?s)case control A2GG.*case control.*PARAM,CK1,3"):
         load_campaign(path)
 
 
