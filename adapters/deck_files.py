@@ -90,6 +90,19 @@ def read_text(path: Path) -> str:
     return data.decode("utf-8", "surrogateescape")
 
 
+def text_with(file: Path, before: int, lines: Sequence[str]) -> str:
+    """Return a file's text with lines before the one of this number (from 1), 0 for its end.
+
+    New lines end as the first line of the file does. Raises ModelError.
+    """
+    pieces = read_text(file).split("\n")
+    end = "\r" if pieces[0].endswith("\r") else ""
+    if not before and pieces[-1]:
+        pieces.append("")  # the last line had no end
+    place = before - 1 if before else len(pieces) - 1
+    return "\n".join([*pieces[:place], *(line + end for line in lines), *pieces[place:]])
+
+
 def largest_line(data: bytes) -> int:
     """The length of the longest line."""
     return max(map(len, data.split(b"\n")))

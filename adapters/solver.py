@@ -258,6 +258,32 @@ class StatedUnits:
     where: str
 
 
+@dataclass(frozen=True, slots=True)
+class Addition:
+    """Something that a deck lacks, in its own units.
+
+    A mass at each of some nodes; a spring along a component, 1..6, from a node to the ground or to
+    another node; a mass on such a spring from a node (`absorber`, with both values).
+    """
+
+    kind: Literal["mass", "spring", "absorber"]
+    nodes: tuple[int, ...]
+    component: int
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AddedCards:
+    """The main file of a deck with an addition, and its numbers as parameters may name them.
+
+    lines: those that are new; numbers: quantity, kind and names of the targets, value.
+    """
+
+    text: str
+    lines: tuple[str, ...]
+    numbers: tuple[tuple[Quantity, TargetKind, tuple[str, ...], float], ...]
+
+
 #: A deck at some parameter values: what an adapter's deck makes for its program.
 Edited = Any
 
@@ -322,6 +348,16 @@ class Deck(Protocol):
         `problems` checks which quantities it has.
         """
         return ()
+
+    def with_cards(self, addition: Addition) -> AddedCards:
+        """Return the deck's main file with an addition, all else byte for byte.
+
+        Raises ModelError where the deck or its format has no place for it.
+        """
+        raise ModelError(
+            f"{self.summary.name}: masses and springs are added to CalculiX and Nastran decks, not "
+            "to this model"
+        )
 
     def design(self) -> DesignModel:
         """The deck's own design model, empty where it has none."""

@@ -25,7 +25,7 @@ from modetune.adapters.calculix.splitting import split_model
 from modetune.adapters.calculix.steps import choice_note
 from modetune.adapters.calculix.structure import understand
 from modetune.adapters.deck_numbers import Number
-from modetune.adapters.solver import Solver, Target
+from modetune.adapters.solver import AddedCards, Addition, Solver, Target
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.parameters import Parameter, Values
@@ -93,6 +93,12 @@ class AssemblyModel(CalculixModel):
                 n_elements=sum(target.n_elements for target in group),
             )
             for group in groups.values()
+        )
+
+    def with_cards(self, addition: Addition) -> AddedCards:
+        raise ModelError(
+            f"{self.flat.source.file}: cards are not added to a deck with instances, whose nodes "
+            "have other numbers in it"
         )
 
     def write_updated(self, values: Values, folder: Path) -> Path:

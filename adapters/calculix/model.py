@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+from modetune.adapters.calculix.additions import with_addition
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_of
 from modetune.adapters.calculix.constraints import fixed_components
@@ -21,7 +22,14 @@ from modetune.adapters.calculix.places import edited_lines, energy_sets, fields_
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number
-from modetune.adapters.solver import AffectedElements, Deck, ModelSummary, Target
+from modetune.adapters.solver import (
+    AddedCards,
+    Addition,
+    AffectedElements,
+    Deck,
+    ModelSummary,
+    Target,
+)
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
@@ -217,6 +225,9 @@ class CalculixModel(Deck):
     def edited(self, values: Values) -> EditedCalculix:
         moving = [pair for pair in self._assigned(values) if pair[0].quantity not in DAMPING]
         return EditedCalculix(self.structure, edited_lines(self.structure, moving))
+
+    def with_cards(self, addition: Addition) -> AddedCards:
+        return with_addition(self.structure, self.mesh(), addition)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         changed = edited_lines(self.structure, self._assigned(values))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number, moved_numbers
+from modetune.adapters.nastran.additions import with_addition
 from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, read_bulk, refuse
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
@@ -49,6 +50,8 @@ from modetune.adapters.nastran.splitting import split_materials, split_propertie
 from modetune.adapters.nastran.stated_units import stated_units
 from modetune.adapters.nastran.structure import Structure
 from modetune.adapters.solver import (
+    AddedCards,
+    Addition,
     AffectedElements,
     Deck,
     DesignModel,
@@ -294,6 +297,9 @@ class NastranModel(Deck):
         groups = values.keys() - {item.name for item in self.parameters}
         every = assigned((*self.parameters, *(self._losses if groups else ())), values)
         return self.edit(pair for pair in every if pair[0].quantity not in DAMPING)
+
+    def with_cards(self, addition: Addition) -> AddedCards:
+        return with_addition(self.deck, self.mesh(), self.wtmass, addition)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         deck = write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)

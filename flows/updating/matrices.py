@@ -296,8 +296,11 @@ class MatrixSource:
         self, base: MatrixResult, changed: Triangles, columns: Sequence[int]
     ) -> dict[int, Triangles]:
         """Return the part of a job's change of stiffness and mass that belongs to each column."""
-        if len(columns) == 1 and self._samplings[columns[0]].affected is None:
-            return {columns[0]: changed}
+        if len(columns) == 1:  # all of it, also what is at knots of beams, whatever they are named
+            affected = self._samplings[columns[0]].affected
+            moved = (True, True) if affected is None else (affected.stiffness, affected.mass)
+            kept = [part if own else NOTHING for part, own in zip(changed, moved, strict=True)]
+            return {columns[0]: (kept[0], kept[1])}
         found = {column: [NOTHING, NOTHING] for column in columns}
         wholes = (base.upper_stiffness, base.upper_mass)
         for place, (upper, whole) in enumerate(zip(changed, wholes, strict=True)):

@@ -10,12 +10,13 @@ the reason.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import RunCounts, read_record
 from modetune.core.updating.localisation import Removal, removals
@@ -24,8 +25,12 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.report.form_verdict import residual_form
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
-from modetune.flows.updating.evaluator import evaluator_of
+from modetune.flows.studies.localise.proposals import Proposals, proposals
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluator import Evaluator, evaluator_of
+from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import Demand
+from modetune.flows.updating.sensitivities import UnlikeMatrices
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -36,7 +41,7 @@ class Localisation:
     the test's modes, in the order of the pairs. singles, pairs: what parameters remove of the
     residual, the best first. form: the test for model-form error; labels: of its entries;
     updated: whether it is a verdict on the updated model. maps: None where they cannot be made,
-    and why_no_maps says why. runs: what it cost.
+    and why_no_maps says why; proposals and why_no_proposals likewise. runs: what it cost.
     """
 
     parameters: tuple[str, ...]
@@ -50,6 +55,8 @@ class Localisation:
     maps: ErrorMaps | None
     why_no_maps: str
     runs: RunCounts
+    proposals: Proposals | None = None
+    why_no_proposals: str = ""
 
     __repr__ = brief
 
@@ -93,11 +100,17 @@ def _updated_values(campaign: Campaign, path: Path) -> Floats:
     return record.updated
 
 
-def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
+def localise(
+    campaign: Campaign,
+    theta: Floats | None = None,
+    changes: bool = True,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Localisation:
     """Look for the error at parameter values, at the campaign's start if left out.
 
     theta: (n_parameters,), values that updating ended on; the test for model-form error is then a
-    verdict, not a forecast.
+    verdict, not a forecast. changes: whether to look for changes that the model lacks; tell: is
+    called with the progress of that.
     Raises ModesError, SolverError, StoreError.
     """
     updated = theta is not None
@@ -114,6 +127,9 @@ def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
         if not why:
             with factor_room(engine.room):
                 maps, why = error_maps(campaign, evaluator, evaluation.parts[0])
+        proposed, why_not = None, ""
+        if changes:
+            proposed, why_not = _proposed(campaign, evaluator, evaluation, tell)
     numbers = tuple(campaign.test.numbers[place] for place in evaluation.pairing.measured.tolist())
     found = evaluation.residual
     singles, pairs = removals(
@@ -143,4 +159,23 @@ def localise(campaign: Campaign, theta: Floats | None = None) -> Localisation:
         maps=maps,
         why_no_maps=why,
         runs=evaluator.runs,
+        proposals=proposed,
+        why_no_proposals=why_not,
     )
+
+
+def _proposed(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    evaluation: Evaluation,
+    tell: Callable[[str], None],
+) -> tuple[Proposals | None, str]:
+    """Return changes that the model may lack, and why there are none where that is so."""
+    solver = campaign.case.solver
+    if not solver.offers.matrices:
+        return None, f"they need matrices, which {solver.program.name} does not give"
+    try:
+        with factor_room(evaluator.only.engine.room), one_thread():
+            return proposals(campaign, evaluator, evaluation, tell), ""
+    except (ModelError, ModesError, UnlikeMatrices) as error:
+        return None, str(error)

@@ -9,16 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modetune.core.errors import CampaignError
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
-from modetune.flows.studies.result import StudyResult
+from modetune.flows.studies.result import StudyResult, near
 from modetune.flows.studies.study import CampaignOptions, Figures, StudyContext, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from modetune.core.mesh import Mesh
     from modetune.core.updating.localisation import Removal
+    from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.report.chart import Chart
+    from modetune.flows.studies.localise.apply import Applied
     from modetune.flows.studies.localise.error_maps import ErrorMaps
     from modetune.flows.studies.localise.localisation import Localisation
 
@@ -47,18 +51,35 @@ def localise(
     configuration: Annotated[
         str | None, typer.Option(help="Configuration to examine, if the campaign has several.")
     ] = None,
+    changes: Annotated[
+        bool,
+        typer.Option(help="Look for masses, springs and absorbers that the model lacks."),
+    ] = True,
+    apply: Annotated[
+        int | None,
+        typer.Option(min=1, help="Write the change of this number into a new deck and campaign."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The new campaign file of --apply, in the campaign's folder (.yaml)."),
+    ] = None,
 ) -> StudyResult:
-    """Locate modelling errors, and rank the parameters that can remove them.
+    """Locate modelling errors, and propose changes of the model that remove them.
 
-    Maps the error of the campaign's initial model, or with --record of the updated one, and reports
-    whether any parameters can remove it.
+    Examines the campaign's initial model, or with --record the updated one: maps of the error, what
+    parameters can remove, whether any can remove all, and masses, springs and absorbers that the
+    model may lack. --apply 1 --out FILE writes the first of these into a new deck and campaign.
     """
     from modetune.flows.studies.localise.localisation import localise as find
     from modetune.flows.studies.localise.localisation import one_model
 
+    if (apply is None) != (out is None):
+        raise CampaignError("--apply and --out go together: `--apply 1 --out new_campaign.yaml`")
+    if apply is not None and not changes:
+        raise CampaignError("--apply needs the changes that --no-changes leaves out")
     campaign, theta = one_model(on.campaign, record, configuration)
     on.working("modes and sensitivities")
-    found = find(campaign, theta)
+    found = find(campaign, theta, changes, on.working)
     charts: Mapping[str, Chart | Figure] = {}
     if on.charted:
         from modetune.flows.studies.localise.figures import localisation_figures
@@ -67,25 +88,50 @@ def localise(
         title = f"{on.campaign.name}: where the {model} model is wrong"
         mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
         charts = localisation_figures(title, found, mesh, surface)
+    mesh, lines, written = campaign.case.solver.deck.mesh(), _lines(found), list[Path]()
+    if apply is not None and out is not None:
+        made = _applied(on.campaign, found, apply, out)
+        written = [made.campaign, *made.decks]
+        lines += [f"added: {line}" for line in made.cards]
+        lines.append(f"`modetune update {near(made.campaign)}` continues with it")
     return StudyResult(
-        found, found.sentence, summary(found), tables(found), _lines(found), charts=charts
+        found,
+        found.sentence,
+        summary(found, mesh),
+        tables(found, mesh),
+        lines,
+        written=written,
+        charts=charts,
     )
 
 
-def summary(found: Localisation) -> dict[str, Json]:
+def _applied(campaign: Campaign, found: Localisation, number: int, out: Path) -> Applied:
+    from modetune.flows.studies.localise.apply import applied
+
+    if found.proposals is None:
+        raise CampaignError(f"--apply: no changes were found, {found.why_no_proposals}")
+    known = found.proposals.found
+    if number > len(known):
+        raise CampaignError(f"--apply {number}: there are {len(known)} changes")
+    return applied(campaign, known[number - 1], out)
+
+
+def summary(found: Localisation, mesh: Mesh) -> dict[str, Json]:
     """Return the JSON object of a localisation."""
     from modetune.flows.report.form_verdict import form_json
+    from modetune.flows.studies.localise.proposal_report import proposals_json
 
     values = zip(found.parameters, found.theta.tolist(), strict=True)
     return json_object(
         found,
-        "modes why_no_maps",
+        "modes why_no_maps why_no_proposals",
         status="done",
         parameters=[{"name": name, "value": value} for name, value in values],
         model_form=form_json(found.form, found.labels, found.sentence),
         singles=_removals(found, found.singles),
         pairs=_removals(found, found.pairs),
         maps=None if found.maps is None else _maps_json(found.maps),
+        proposals=None if found.proposals is None else proposals_json(found.proposals, mesh),
         solver_runs=found.runs,
     )
 
@@ -167,14 +213,19 @@ def _worst(nodes: list[int], values: list[float]) -> list[dict[str, Any]]:
     return [{"node": nodes[place], "value": values[place]} for place in order]
 
 
-def tables(found: Localisation) -> list[Table]:
-    """Groups, if there are maps, and the residual that parameters can remove; the first of each."""
+def tables(found: Localisation, mesh: Mesh) -> list[Table]:
+    """Groups, if there are maps, the residual that parameters can remove, and changes that the
+    model may lack; the first of each."""
     removals = _removals(found, (*found.singles[:SHOWN], *found.pairs[: SHOWN // 4]))
     shown = [table_of("What parameters can remove of the residual", removals, RemovalRow)]
     if found.maps is not None:
         groups = _groups(found.maps)[:SHOWN]
         title = "Where the model is wrong, from the test's shapes"
         shown.insert(0, table_of(title, groups, GroupRow))
+    if found.proposals is not None:
+        from modetune.flows.studies.localise.proposal_report import proposal_table
+
+        shown.append(proposal_table(found.proposals, mesh))
     return shown
 
 
@@ -197,6 +248,12 @@ def _lines(found: Localisation) -> list[str]:
     if found.why_no_maps:
         lines.append(f"no maps: {found.why_no_maps}")
     lines.append(found.sentence)
+    if found.proposals is not None:
+        from modetune.flows.studies.localise.proposal_report import proposal_sentence
+
+        lines.append(proposal_sentence(found.proposals))
+    elif found.why_no_proposals:
+        lines.append(f"no changes are proposed: {found.why_no_proposals}")
     runs = found.runs
     lines.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "

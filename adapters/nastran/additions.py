@@ -1,0 +1,85 @@
+"""Masses and springs added to a Nastran deck, at the end of its bulk data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modetune.adapters.deck_files import text_with
+from modetune.adapters.nastran.deck import NastranDeck
+from modetune.adapters.solver import AddedCards, Addition
+from modetune.core.errors import ModelError
+from modetune.core.mesh import Mesh
+from modetune.core.parameters import Quantity, TargetKind
+
+#: Characters of a number in a field of 16.
+WIDE = 15
+
+
+def with_addition(deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Addition) -> AddedCards:
+    """Return the main file with an addition. Raises ModelError.
+
+    wtmass: the deck's factor on all mass, by which masses are divided.
+    """
+    if len(deck.parts) > 1:
+        raise ModelError(f"{deck.file}: cards are not added to a deck of superelements")
+    end = deck.lines[deck.bulk.stop - 1] if deck.bulk.stop else None
+    last = deck.lines[-1]
+    before = last.number if last.text.strip().upper().startswith("ENDDATA") else 0
+    if end is None or (before and last.file != deck.file):
+        raise ModelError(
+            f"{last.where}: the bulk data end in an include, and cards are added to the main file "
+            "alone"
+        )
+    number = 1 + max((_number(card.text(1)) for card in deck.cards), default=0)
+    lines, parts = ["$ added by modetune localise"], list[tuple[Quantity, TargetKind, str, float]]()
+    nodes, component = addition.nodes, addition.component
+    if addition.kind == "absorber":
+        x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
+        frame = "0" if nodes[0] not in mesh.frames else ""
+        if not frame:
+            raise ModelError(
+                f"{deck.file}: grid {nodes[0]} has its own axes (CD), in which no absorber is added"
+            )
+        others = "".join(str(axis) for axis in range(1, 7) if axis != component)
+        lines += _wide("GRID", number, 0, x, y, z, 0, others)
+        nodes, number = (nodes[0], number), number + 1
+    if addition.kind != "spring":
+        value = addition.values[0] / wtmass
+        for node in nodes if addition.kind == "mass" else nodes[1:]:
+            lines += _wide("CONM2", number, node, 0, value)
+            parts.append(("mass", "element", str(number), value))
+            number += 1
+    if addition.kind != "mass":
+        ends = [part for node in nodes for part in (node, component)]
+        lines += _wide("CELAS1", number, number, *ends)
+        lines += _wide("PELAS", number, addition.values[-1])
+        parts.append(("spring_stiffness", "property", str(number), addition.values[-1]))
+    text = text_with(deck.file, before, lines)
+    together: dict[tuple[Quantity, TargetKind, float], list[str]] = {}
+    for quantity, by, name, value in parts:
+        together.setdefault((quantity, by, value), []).append(name)
+    numbers = tuple((q, by, tuple(names), value) for (q, by, value), names in together.items())
+    return AddedCards(text, tuple(lines), numbers)
+
+
+def _number(text: str) -> int:
+    return int(text) if text.isdigit() else 0
+
+
+def _wide(name: str, *values: float | str) -> list[str]:
+    """Return a card in fields of 16 characters, four a line."""
+    words = [value if isinstance(value, str) else _text(value) for value in values]
+    rows = [words[at : at + 4] for at in range(0, len(words), 4)]
+    heads = [f"{name}*", *["*"] * (len(rows) - 1)]
+    lines = [
+        f"{head:8}" + "".join(f"{word:>16}" for word in row)
+        for head, row in zip(heads, rows, strict=True)
+    ]
+    return lines if len(rows) > 1 else [*lines, "*"]
+
+
+def _text(value: float) -> str:
+    if isinstance(value, int):
+        return str(value)
+    text = f"{value:.9g}"
+    return text if set(text) & set(".e") else f"{text}."

@@ -1,0 +1,210 @@
+"""Changes that a model may lack: masses, springs and absorbers, exact in a reduced model.
+
+A change adds matrices of low rank, a sum of a b b^T: a spring of stiffness a between two points has
+for b the difference of their displacements, a point mass one vector for each direction. A reduced
+model answers exactly to forces F that act where its basis contains the static response
+
+    Z = (K - s M)^-1 F,
+
+so the vectors Z of all places are projected once, together with the basis of modes and of their
+derivatives (static attachment vectors: Craig 1981), and the model of one change is the part of the
+projected matrices that belongs to the basis and its own few Z. A stiffness from zero to infinity
+is in its space.
+
+An absorber has an unknown of its own: its mass m there, and its spring k between the place and it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.modes import Floats, Integers
+from modetune.core.updating.parameter_matrices import ParameterMatrices
+from modetune.core.updating.reduced_basis import (
+    RANK,
+    ReducedModel,
+    ReducedPart,
+    of_vectors,
+    widened_model,
+)
+
+#: Vectors whose responses are computed at a time.
+AT_ONCE = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """An amplitude times a sum of b b^T.
+
+    amplitude: its position among those of the change. loads: positions of loads of a
+    `LoadedModel`; vectors: (k, n_loads), the b in terms of these. own: (k, n_own), in terms of the
+    unknowns that the change brings.
+    """
+
+    matrix: Literal["stiffness", "mass"]
+    amplitude: int
+    loads: tuple[int, ...]
+    vectors: Floats
+    own: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedModel:
+    """A reduced model with the static responses to loads at the places of all changes.
+
+    whole: on the basis, `size` vectors, and then the response to each load. at: (n_loads, n_all),
+    the displacement of each load's place in these vectors.
+    """
+
+    whole: ReducedModel
+    size: int
+    at: Floats
+
+    def flexibility(self, loads: Sequence[int], weights: Floats) -> float:
+        """Return the static displacement along b under the force b.
+
+        loads, weights: b, as one row of `Term.vectors`.
+        """
+        places = np.array(loads, dtype=np.int64)
+        block = self.at[np.ix_(places, self.size + places)]
+        return float(weights @ block @ weights)
+
+    def changed(self, terms: Sequence[Term]) -> ReducedModel:
+        """Return the model with a change, whose amplitudes follow the parameters and start at 0."""
+        used = np.unique(np.array([n for term in terms for n in term.loads], dtype=np.int64))
+        places = np.concatenate([np.arange(self.size), self.size + used])
+        model = of_vectors(self.whole, places)
+        turn = _independent(model.base_stiffness - model.shift * model.base_mass, self.size)
+        model, at = _turned(model, turn), self.at[:, places] @ turn
+        n_own = max((term.own.shape[1] for term in terms), default=0)
+        model = _padded(model, n_own)
+        n_before, n_amplitudes = (
+            model.reference.size,
+            1 + max((t.amplitude for t in terms), default=-1),
+        )
+        added: dict[str, list[ReducedPart]] = {"stiffness": [], "mass": []}
+        for term in terms:
+            rows = np.zeros((term.vectors.shape[0], model.size))
+            rows[:, : at.shape[1]] = term.vectors @ at[list(term.loads)]
+            if term.own.size:
+                rows[:, at.shape[1] :] = term.own
+            value = (rows.T @ rows)[None]
+            added[term.matrix].append(ReducedPart(n_before + term.amplitude, (1,), value))
+        return replace(
+            model,
+            reference=np.concatenate([model.reference, np.zeros(n_amplitudes)]),
+            stiffness=(*model.stiffness, *added["stiffness"]),
+            mass=(*model.mass, *added["mass"]),
+        )
+
+
+def loaded_model(
+    affine: ParameterMatrices,
+    model: ReducedModel,
+    basis: Floats,
+    observer: sparse.csr_array,
+    inverse: Callable[[Floats], Floats],
+    loads: sparse.csr_array,
+) -> LoadedModel:
+    """Return a reduced model with the responses to loads.
+
+    model, basis (n, r): as of `reduced_basis.reduce`, made with `inverse`, (K - s M)^-1 of a block
+    (n, k). observer: (n_rows, n). loads: (n, n_loads).
+    """
+    responses = np.zeros(loads.shape)
+    for first in range(0, loads.shape[1], AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        responses[:, some] = inverse(np.asfortranarray(loads[:, some].toarray()))
+    lengths = np.linalg.norm(responses, axis=0)
+    responses /= np.where(lengths > 0.0, lengths, 1.0)
+    whole = widened_model(affine, model, (basis,), responses, observer)
+    at = np.hstack([loads.T @ basis, loads.T @ responses * lengths])
+    # Responses of unit length are safe to project; those of unit load give flexibilities.
+    scale = np.concatenate([np.ones(basis.shape[1]), lengths])
+    return LoadedModel(_scaled(whole, scale), basis.shape[1], at)
+
+
+def _scaled(model: ReducedModel, scale: Floats) -> ReducedModel:
+    """Return the model with each vector multiplied by its scale, (r,)."""
+
+    def square(values: Floats) -> Floats:
+        return np.asarray(scale[:, None] * values * scale)
+
+    return _mapped(model, square, model.rows * scale)
+
+
+def _turned(model: ReducedModel, turn: Floats) -> ReducedModel:
+    """Return the model on combinations (r, r_new) of its vectors."""
+    return _mapped(model, lambda values: turn.T @ values @ turn, model.rows @ turn)
+
+
+def _padded(model: ReducedModel, n_own: int) -> ReducedModel:
+    """Return the model with unknowns of their own behind it, without stiffness and mass so far."""
+    if not n_own:
+        return model
+    rows = np.pad(model.rows, ((0, 0), (0, n_own)))
+    return _mapped(model, lambda values: np.pad(values, ((0, n_own), (0, n_own))), rows)
+
+
+def _mapped(model: ReducedModel, square: Callable[[Floats], Floats], rows: Floats) -> ReducedModel:
+    def parts(given: tuple[ReducedPart, ...]) -> tuple[ReducedPart, ...]:
+        return tuple(
+            replace(part, values=np.stack([square(values) for values in part.values]))
+            for part in given
+        )
+
+    return replace(
+        model,
+        base_stiffness=square(model.base_stiffness),
+        base_mass=square(model.base_mass),
+        stiffness=parts(model.stiffness),
+        mass=parts(model.mass),
+        rows=rows,
+    )
+
+
+def _independent(energy: Floats, size: int) -> Floats:
+    """Return combinations of vectors without those that the first `size` already span, (r, r_new).
+
+    energy: (r, r), products of the vectors with respect to K - s M.
+    """
+    new = np.arange(size, energy.shape[0])
+    inside = np.linalg.solve(energy[:size, :size], energy[:size, new])
+    outside = energy[np.ix_(new, new)] - energy[:size, new].T @ inside
+    lengths = energy[new, new]
+    scale = 1.0 / np.sqrt(np.where(lengths > 0.0, lengths, np.inf))
+    squares, turned = np.linalg.eigh(scale[:, None] * outside * scale)
+    kept = squares > RANK
+    mixing = scale[:, None] * turned[:, kept] / np.sqrt(squares[kept])
+    turn = np.zeros((energy.shape[0], size + mixing.shape[1]))
+    turn[:size, :size] = np.eye(size)
+    turn[:size, size:] = -inside @ mixing
+    turn[size:, size:] = mixing
+    return turn
+
+
+def spread_nodes(coordinates: Floats, first: Integers, n: int) -> Integers:
+    """Return rows of points spread evenly, (n_chosen,), ascending: the first ones and, up to n in
+    all, at each step the point that is farthest from those chosen.
+
+    coordinates: (n_points, 3); first: rows.
+    """
+    if coordinates.shape[0] <= n:
+        return np.arange(coordinates.shape[0])
+    chosen = np.unique(first)[:n].tolist()
+    if not chosen:
+        middle = coordinates.mean(axis=0)
+        chosen = [int(np.argmin(np.linalg.norm(coordinates - middle, axis=1)))]
+    distances = np.full(coordinates.shape[0], np.inf)
+    for row in chosen:
+        distances = np.minimum(distances, np.linalg.norm(coordinates - coordinates[row], axis=1))
+    while len(chosen) < n and distances.max() > 0.0:
+        row = int(np.argmax(distances))
+        chosen.append(row)
+        distances = np.minimum(distances, np.linalg.norm(coordinates - coordinates[row], axis=1))
+    return np.array(sorted(chosen), dtype=np.int64)

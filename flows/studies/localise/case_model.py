@@ -1,0 +1,239 @@
+"""A case on a reduced model that contains every change, and its misfit with one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.correlation.pairing import LostMode
+from modetune.core.errors import ModelError, ModesError
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import Parameter, ParameterSet
+from modetune.core.updating.candidates import LoadedModel, loaded_model
+from modetune.core.updating.job_results import ModalResult
+from modetune.core.updating.minima import Misfit, MisfitAt
+from modetune.core.updating.reduced_basis import ReducedModel, reduce, unreduced
+from modetune.core.updating.residual import residual_sensitivity
+from modetune.core.updating.responses.response import Residual, StateDerivatives
+from modetune.core.updating.sensitivity import ModeDerivatives
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
+from modetune.flows.studies.localise.changes import Change, Places, places_of
+from modetune.flows.updating.evaluation import CaseEvaluation, at_sensors, compare, model_state
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import REDUCED, CaseState
+from modetune.flows.updating.solutions import (
+    first_shift,
+    named_freedoms,
+    observer_of,
+    solved_energies,
+)
+
+#: Unknowns up to which there are proposals, and up to which a model is not reduced.
+MOST_UNKNOWNS, SMALL = 400_000, 120
+#: Modes of the basis beyond those that are compared, and vectors at most.
+MORE_MODES, MOST_VECTORS = 12, 250
+#: Eigenvalues below this share of the first elastic one are those of rigid modes.
+RIGID = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class CaseModel:
+    """A case on a reduced model with loads.
+
+    case: comparing all measured frequencies and shapes. columns: of its own parameters among the
+    campaign's. theta: (n_columns,), the model's at the examined state, groups behind. known: the
+    case there. rows: nodes and components of the model's rows. mass: about that of the model.
+    """
+
+    case: Case
+    columns: Integers
+    theta: Floats
+    known: CaseEvaluation
+    loaded: LoadedModel
+    rows: tuple[Integers, Integers]
+    mass: float
+
+    def compared(self, model: ReducedModel, theta: Floats) -> CaseEvaluation:
+        """Return the comparison at values of the model's columns. Raises ModesError, LostMode."""
+        known = self.known
+        eigenvalues, shapes = model.modes(theta, known.modal.modes.n_modes)
+        first = float(known.modal.eigenvalues[known.modal.n_rigid])
+        n_rigid = min(known.modal.n_rigid, int(np.sum(eigenvalues < RIGID * first)))
+        modal = ModalResult.of_shapes(eigenvalues, shapes, *self.rows, 0.5 * eigenvalues, n_rigid)
+        return compare(self.case, theta, "", modal, known, REDUCED)
+
+
+def all_data(case: Case) -> Case:
+    """Return a case that compares all measured frequencies and shapes."""
+    weighting = case.weighting
+    if case.test.has_shapes and not weighting.with_shapes:
+        ones = np.ones_like(weighting.shape_weights)
+        weighting = replace(weighting, shape_weights=ones)
+    compared = tuple(item for item in case.compared if not item.needs - {"shapes"})
+    return replace(case, weighting=weighting, compared=compared, held_out=None)
+
+
+def case_model(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    state: CaseState,
+    part: CaseEvaluation,
+    groups: Sequence[Parameter],
+    known_places: Places | None,
+) -> tuple[CaseModel, Places]:
+    own, deck = state.campaign.parameters, state.case.solver.deck
+    parameters = ParameterSet((*own.parameters, *groups), own.dependents)
+    source = MatrixSource(state.engine, parameters, campaign.sensitivity.step)
+    theta = np.concatenate([part.theta, np.ones(len(groups))])
+    columns = range(theta.size)
+    evaluator.carry_out("matrices", source.works(theta, columns), state)
+    affine = source.matrices(theta, columns)
+    size = affine.base.nodes.size
+    if size > MOST_UNKNOWNS:
+        raise ModelError(
+            f"changes are proposed for models of up to {MOST_UNKNOWNS:,} unknowns; this one has "
+            f"{size:,}"
+        )
+    written, case = source.written(theta), all_data(state.case)
+    rows = named_freedoms(case.nodes)
+    observer = observer_of(state.campaign, affine.base, *rows)
+    places = known_places or places_of(case, tuple(sorted(deck.summary.components)))
+    seen = deck.observation(affine.base, places.load_nodes, places.load_components)
+    loads = sparse.csr_array(seen.matrix.T)
+    here = affine.at(written)
+    n_modes = min(part.modal.modes.n_modes, size)
+    shift = first_shift(state.campaign)
+    solver = ModeSolver(count=False)
+    if size <= SMALL:
+        solver.factorise(here.upper_stiffness, here.upper_mass, shift)
+        model, basis = unreduced(affine, shift, observer), np.eye(size)
+    else:
+        n_modes = min(part.modal.modes.n_modes + MORE_MODES, size)
+        solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
+        _, n_rigid = solved_energies(state.campaign, here, solved)
+        if not solver.inverts_exactly:
+            solver.factorise(here.upper_stiffness, here.upper_mass, solved.shift)
+        model, basis = reduce(
+            affine, written, solved.eigenvalues, solved.shapes, solver.inverse,
+            part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
+        )  # fmt: skip
+    loaded = loaded_model(affine, model, basis, observer, solver.inverse, loads)
+    known = CaseModel(
+        case, state.columns, written, part, loaded, rows, _mass(here.upper_mass, here.components)
+    )
+    return replace(known, known=known.compared(loaded.changed(()), written)), places
+
+
+def _mass(upper_mass: sparse.csr_array, components: Integers) -> float:
+    """Return about the mass of a model, by the diagonal of its matrix."""
+    diagonal = upper_mass.diagonal()[components <= 3]
+    return float(diagonal.sum()) / 3.0
+
+
+class Trial(Misfit):
+    """The misfit of all measured data with one change, over log parameters and log amplitudes."""
+
+    def __init__(
+        self, cases: Sequence[CaseModel], change: Change | None, bounds: ParameterSet
+    ) -> None:
+        self.cases, self.change = cases, change
+        self.n_own = len(bounds)
+        extra = (np.zeros(0),) * 2 if change is None else (change.lower, change.upper)
+        tiny = np.finfo(np.float64).tiny
+        self.lower = np.log(np.concatenate([np.maximum(bounds.lower, tiny), extra[0]]))
+        self.upper = np.log(np.concatenate([bounds.upper, extra[1]]))
+        terms = () if change is None else change.terms
+        self.models = [item.loaded.changed(terms) for item in cases]
+        self.n_evaluations = 0
+
+    def columns(self, case: CaseModel) -> Integers:
+        """Return the model's columns of the case's parameters and the amplitudes."""
+        own = np.arange(case.columns.size)
+        if self.change is None:
+            return own
+        if self.change.column >= 0:
+            return np.append(own, self.change.column)
+        return np.concatenate([own, case.theta.size + np.arange(self.change.lower.size)])
+
+    def at(self, case: CaseModel, values: Floats) -> Floats:
+        """Return the model's columns at parameter values and amplitudes."""
+        own, amplitudes = values[case.columns], values[self.n_own :]
+        theta = np.concatenate([case.theta, amplitudes if self._added else []])
+        theta[self.columns(case)] = np.concatenate([own, amplitudes])
+        return theta
+
+    @property
+    def _added(self) -> bool:
+        return self.change is not None and self.change.column < 0
+
+    def parts(
+        self, x: Floats
+    ) -> list[tuple[CaseModel, ReducedModel, Floats, CaseEvaluation]] | None:
+        """Return the comparison of each case, None where a mode is lost."""
+        values = np.exp(x)
+        self.n_evaluations += 1
+        try:
+            return [
+                (case, model, theta, case.compared(model, theta))
+                for case, model in zip(self.cases, self.models, strict=True)
+                for theta in [self.at(case, values)]
+            ]
+        except (LostMode, ModesError):
+            return None
+
+    def residual(self, x: Floats) -> Floats | None:
+        """Return the residual in standard deviations of the measurement."""
+        parts = self.parts(x)
+        return None if parts is None else np.concatenate([_normal(p[3].residual) for p in parts])
+
+    def value(self, x: Floats) -> float:
+        found = self.residual(x)
+        return np.inf if found is None else float(found @ found)
+
+    def slopes(self, x: Floats) -> tuple[Floats, Floats] | None:
+        """Return the residual and its derivatives with respect to x, (n_residuals, n)."""
+        parts = self.parts(x)
+        if parts is None:
+            return None
+        values, rows, own = np.exp(x), [], []
+        for case, model, theta, part in parts:
+            columns = self.columns(case)
+            paired = part.pairing.computed + part.modal.n_rigid
+            shapes = np.real(part.modal.modes.mode_shapes[:, paired])
+            whole = model.derivatives(theta, paired, shapes)
+            found = ModeDerivatives(whole.eigenvalues[:, columns], whole.mode_shapes[:, :, columns])
+            state = model_state(case.case, part.seen, part.pairing, part.modal, None)
+            seen = at_sensors(case.case, part, found)
+            every = tuple(range(columns.size))
+            of = StateDerivatives(seen, every, found)
+            slopes = np.zeros((part.residual.values.size, x.size))
+            places = np.concatenate([case.columns, np.arange(self.n_own, x.size)])
+            slopes[:, places] = -residual_sensitivity(part.responses, state, of) * values[places]
+            rows.append(_scaled(part.residual, slopes))
+            own.append(_normal(part.residual))
+        return np.concatenate(own), np.vstack(rows)
+
+    def sample(self, x: Floats) -> MisfitAt | None:
+        found = self.slopes(x)
+        if found is None:
+            return None
+        residual, rows = found
+        return MisfitAt(float(residual @ residual), 2.0 * rows.T @ residual, 2.0 * rows.T @ rows)
+
+
+def _deviations(found: Residual) -> Floats:
+    return np.sqrt(np.where(found.weights > 0.0, 1.0 / found.noise, 0.0))
+
+
+def _normal(found: Residual) -> Floats:
+    return _deviations(found) * found.independent(found.values)
+
+
+def _scaled(found: Residual, rows: Floats) -> Floats:
+    return _deviations(found)[:, None] * found.independent(rows)

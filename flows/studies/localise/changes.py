@@ -1,0 +1,245 @@
+"""The changes that a model may lack, as they follow from its mesh, its deck and its sensors.
+
+One kind of change has one prior: every amplitude between its bounds is equally probable on a
+logarithmic scale, every place of the kind too.
+
+| kind | between |
+| --- | --- |
+| point mass, masses of all sensors | 10^-4 and 0.3 of the model's mass |
+| inertia | the same times the square of a tenth of the model's size |
+| spring to the ground, spring between close nodes | 10^-3 and 10^3 of the place's own stiffness |
+| absorber | 10^-3 and 0.2 of the mass; half the first and 1.5 times the last test frequency |
+| quantity of a group | 1/5 and 5 times the deck's |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from modetune.core.mesh import Mesh, cell_sizes
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import Parameter
+from modetune.core.updating.candidates import LoadedModel, Term, spread_nodes
+from modetune.flows.campaign.case import Case
+
+Kind = Literal[
+    "point mass", "inertia", "spring to ground", "rotational spring to ground", "spring",
+    "rotational spring", "absorber", "sensor masses", "group",
+]  # fmt: skip
+
+#: Places of masses and of springs to the ground, of absorbers, and pairs of close nodes.
+PLACES, ABSORBERS, PAIRS = 200, 30, 60
+#: Bounds of masses, shares of the model's mass; of inertias, also of a tenth of its size squared.
+MASSES, ABSORBER_MASSES, ARM = (1e-4, 0.3), (1e-3, 0.2), 0.1
+#: Bounds of stiffnesses, shares of the place's own; of quantities of groups, of the deck's.
+STIFFNESSES, FACTORS = (1e-3, 1e3), (0.2, 5.0)
+#: Bounds of an absorber's frequency, shares of the first and last of the test.
+AROUND = (0.5, 1.5)
+AXES = ("", "x", "y", "z", "about x", "about y", "about z")
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where changes may be.
+
+    loads: nodes and components (n_loads,) of unit forces, as positions of `Term.loads` mean them.
+    nodes: of masses and springs to the ground. absorbers: nodes. pairs: (n_pairs, 2), close nodes
+    that no element joins. sensors: nodes. components: which of 1..6 nodes have.
+    """
+
+    load_nodes: Integers
+    load_components: Integers
+    nodes: tuple[int, ...]
+    absorbers: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    sensors: tuple[int, ...]
+    components: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change of a model.
+
+    nodes, component: the place; terms: what it adds, in every case that has the place. lower,
+    upper: (n_amplitudes,). column: of a group's quantity among the model's parameters; quantity:
+    that itself.
+    """
+
+    kind: Kind
+    label: str
+    nodes: tuple[int, ...]
+    component: int
+    terms: tuple[Term, ...]
+    lower: Floats
+    upper: Floats
+    column: int = -1
+    quantity: Parameter | None = None
+
+
+def places_of(case: Case, components: tuple[int, ...]) -> Places:
+    """Return the places of changes in a case. components: which of 1..6 its matrices give."""
+    deck = case.solver.deck
+    mesh, fixed = deck.mesh(), deck.fixed()
+    numbers = mesh.nodes
+    coordinates = mesh.coordinates
+    if not numbers.size:  # matrices have no geometry
+        numbers = np.array(sorted(deck.summary.node_ids), dtype=np.int64)
+        coordinates = np.stack([numbers.astype(np.float64)] + 2 * [np.zeros(numbers.size)], axis=1)
+    held = {node for node, axes in fixed.items() if len(axes) > 2}
+    rows = np.flatnonzero(~np.isin(numbers, list(held)))
+    numbers, coordinates = numbers[rows], coordinates[rows]
+    sensors = tuple(n for n in sorted(set(case.sensors.model_nodes.tolist())) if n not in held)
+    known = np.flatnonzero(np.isin(numbers, sensors))
+    nothing = np.zeros(0, dtype=np.int64)
+    known = known[spread_nodes(coordinates[known], nothing, PLACES // 2)]
+    chosen = spread_nodes(coordinates, known, PLACES)
+    few = chosen[spread_nodes(coordinates[chosen], nothing, ABSORBERS)]
+    pairs = tuple(pair for pair in close_pairs(mesh) if not held & set(pair))[:PAIRS]
+    nodes = tuple(numbers[chosen].tolist())
+    every = sorted({*nodes, *sensors, *(node for pair in pairs for node in pair)})
+    return Places(
+        np.repeat(np.array(every, dtype=np.int64), len(components)),
+        np.tile(np.array(components, dtype=np.int64), len(every)),
+        nodes,
+        tuple(numbers[few].tolist()),
+        pairs,
+        sensors,
+        components,
+    )
+
+
+def close_pairs(mesh: Mesh) -> list[tuple[int, int]]:
+    """Return pairs of nodes that no element joins, nearer than an element's size, nearest first."""
+    sizes = cell_sizes(mesh)
+    if not sizes or mesh.nodes.size < 2:
+        return []
+    reach = float(np.median(list(sizes.values())))
+    tree = cKDTree(mesh.coordinates)
+    near = tree.query_pairs(reach, output_type="ndarray")
+    if not near.size:
+        return []
+    parts = _parts(mesh)
+    near = near[parts[near[:, 0]] != parts[near[:, 1]]]
+    apart = np.linalg.norm(mesh.coordinates[near[:, 0]] - mesh.coordinates[near[:, 1]], axis=1)
+    order = np.argsort(apart, kind="stable")
+    return [(int(mesh.nodes[a]), int(mesh.nodes[b])) for a, b in near[order].tolist()]
+
+
+def _parts(mesh: Mesh) -> Integers:
+    """Return the number of the connected part of each node, (n_nodes,)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for cells in mesh.cells:
+        rows = mesh.rows(cells.nodes)
+        for place in range(1, rows.shape[1]):
+            first.append(rows[:, 0])
+            second.append(rows[:, place])
+    a, b = np.concatenate(first), np.concatenate(second)
+    joined = coo_array((np.ones(a.size), (a, b)), shape=(mesh.nodes.size,) * 2)
+    return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+
+
+def changes_of(
+    case: Case,
+    places: Places,
+    loaded: LoadedModel,
+    usable: Floats,
+    mass: float,
+    groups: Sequence[tuple[Parameter, int]],
+) -> Iterator[Change]:
+    """Yield all changes of a case.
+
+    usable: (n_loads,), whether a load's place can move. mass: of the model. groups: quantities and
+    their columns among the model's parameters.
+    """
+    mesh = case.solver.deck.mesh()
+    row = {
+        (node, component): place
+        for place, (node, component) in enumerate(
+            zip(places.load_nodes.tolist(), places.load_components.tolist(), strict=True)
+        )
+        if usable[place]
+    }
+    size = float(np.ptp(mesh.coordinates, axis=0).max()) if mesh.nodes.size else 1.0
+    hz = case.test.modes.frequencies_hz
+    band = AROUND[0] * float(hz.min()), AROUND[1] * float(hz.max())
+    yield from _masses(places, row, mass, size)
+    yield from _springs(places, row, loaded)
+    yield from _absorbers(places, row, mass, band)
+    for item, column in groups:
+        bounds = np.array([FACTORS[0]]), np.array([FACTORS[1]])
+        label = f"{item.quantity.replace('_', ' ')} of {', '.join(item.targets)}"
+        yield Change("group", label, (), 0, (), *bounds, column, item)
+
+
+def _masses(
+    places: Places, row: dict[tuple[int, int], int], mass: float, size: float
+) -> Iterator[Change]:
+    def at(
+        kind: Kind, label: str, nodes: tuple[int, ...], axes: range, unit: float
+    ) -> Iterator[Change]:
+        loads = tuple(row[n, c] for n in nodes for c in axes if (n, c) in row)
+        if loads:
+            term = Term("mass", 0, loads, np.eye(len(loads)))
+            lower, upper = (np.array([share * unit]) for share in MASSES)
+            yield Change(kind, label, nodes, 0, (term,), lower, upper)
+
+    for node in places.nodes:
+        yield from at("point mass", f"point mass at node {node}", (node,), range(1, 4), mass)
+        if 4 in places.components:
+            unit = mass * (ARM * size) ** 2
+            yield from at("inertia", f"inertia at node {node}", (node,), range(4, 7), unit)
+    if len(places.sensors) > 1:
+        label, unit = "equal masses at all sensors", mass / len(places.sensors)
+        yield from at("sensor masses", label, places.sensors, range(1, 4), unit)
+
+
+def _springs(
+    places: Places, row: dict[tuple[int, int], int], loaded: LoadedModel
+) -> Iterator[Change]:
+    def between(kind: Kind, label: str, nodes: tuple[int, ...], component: int) -> Iterator[Change]:
+        loads = tuple(row[n, component] for n in nodes if (n, component) in row)
+        if len(loads) < len(nodes):
+            return
+        weights = np.array([1.0, -1.0][: len(loads)])
+        flexibility = loaded.flexibility(loads, weights)
+        if flexibility > 0.0:
+            term = Term("stiffness", 0, loads, weights[None])
+            lower, upper = (np.array([share / flexibility]) for share in STIFFNESSES)
+            yield Change(kind, label, nodes, component, (term,), lower, upper)
+
+    for component in places.components:
+        turning, axis = component > 3, AXES[component]
+        kind: Kind = "rotational spring to ground" if turning else "spring to ground"
+        for node in places.nodes:
+            yield from between(kind, f"{kind} at node {node}, {axis}", (node,), component)
+        kind = "rotational spring" if turning else "spring"
+        for pair in places.pairs:
+            label = f"{kind} between nodes {pair[0]} and {pair[1]}, {axis}"
+            yield from between(kind, label, pair, component)
+
+
+def _absorbers(
+    places: Places, row: dict[tuple[int, int], int], mass: float, band: tuple[float, float]
+) -> Iterator[Change]:
+    for node in places.absorbers:
+        for component in range(1, 4):
+            if (node, component) not in row:
+                continue
+            load = (row[node, component],)
+            own = Term("mass", 0, (), np.zeros((1, 0)), np.ones((1, 1)))
+            spring = Term("stiffness", 1, load, np.ones((1, 1)), -np.ones((1, 1)))
+            masses = [share * mass for share in ABSORBER_MASSES]
+            stiff = [m * (2.0 * np.pi * f) ** 2 for m, f in zip(masses, band, strict=True)]
+            label = f"absorber at node {node}, {AXES[component]}"
+            yield Change(
+                "absorber", label, (node,), component, (own, spring),
+                np.array([masses[0], stiff[0]]), np.array([masses[1], stiff[1]]),
+            )  # fmt: skip

@@ -1,0 +1,285 @@
+"""Proposals: the changes of a model that explain best what its parameters leave of the test.
+
+1. Reduced models of all cases that contain every change exactly (`core/updating/candidates`).
+2. All changes at a few amplitudes, with the linear answer of the campaign's parameters.
+3. The best ones with all parameters free, to the least misfit of all measured frequencies and
+   shapes.
+4. Evidence, corrected for the number of changes: half of the prior is that nothing lacks, the other
+   half is divided evenly among kinds, and within a kind among places (`core/updating/evidence`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modetune.core.errors import ModelError
+from modetune.core.modes import Floats
+from modetune.core.parameters import Parameter
+from modetune.core.updating.evidence import log_evidence, probabilities
+from modetune.core.updating.minima import polished
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.studies.init.candidate_parameters import candidates
+from modetune.flows.studies.localise.case_model import CaseModel, Trial, case_model
+from modetune.flows.studies.localise.changes import Change, changes_of
+from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.mode_source import CaseState
+
+logger = logging.getLogger(__name__)
+
+#: Amplitudes between the bounds at which every change is tried, masses and frequencies of an
+#: absorber, and changes that are then refined.
+AMPLITUDES, OF_ABSORBERS, REFINED = 6, (2, 5), 30
+#: Quantities of groups that are tried, each with a matrix job of its own at most.
+GROUPS = 20
+#: Quantities that others stand for: a density as a mass, a dimension as a thickness or a modulus.
+OTHERS = ("density", "dimension")
+#: Two changes with a smaller difference of the misfit cannot be told apart: 3 standard deviations.
+ALIKE = 9.0
+#: Probability above which a change is proposed.
+PROPOSED = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A change of the model with its evidence.
+
+    amplitudes: (n_amplitudes,), and errors: their relative standard errors. theta: (n_parameters,),
+    the campaign's parameters with it. misfit: the chi-square that it leaves. removed: its share of
+    what the parameters alone leave. log_evidence: relative to no change. probability: of the
+    change, of all changes and none. alike: labels of others that cannot be told apart from it.
+    """
+
+    change: Change
+    amplitudes: Floats
+    errors: Floats
+    theta: Floats
+    misfit: float
+    removed: float
+    log_evidence: float
+    probability: float
+    alike: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Proposals:
+    """Changes, the most probable first.
+
+    misfit: the chi-square of all measured data that the campaign's parameters leave at their best;
+    freedom: its degrees of freedom. scale: by which misfits are divided, above 1 where even the
+    best change leaves more than noise. nothing: probability that the model lacks none of the
+    changes. n_changes: how many were tried.
+    """
+
+    found: tuple[Proposal, ...]
+    misfit: float
+    freedom: int
+    scale: float
+    nothing: float
+    n_changes: int
+
+    @property
+    def proposed(self) -> bool:
+        """Whether a change is more probable than none by far."""
+        return 1.0 - self.nothing >= PROPOSED
+
+
+def proposals(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    evaluation: Evaluation,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Proposals:
+    """Look for changes of the model at an evaluated point. Raises ModelError, ModesError."""
+    return search_of(campaign, evaluator, evaluation, tell).ranked(tell)
+
+
+def search_of(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    evaluation: Evaluation,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Search:
+    """Return the search at an evaluated point, with its changes and models. Raises as above."""
+    groups = _groups(evaluator.used[0])
+    cases: list[CaseModel] = []
+    places = None
+    for state, part in zip(evaluator.used, evaluation.parts, strict=True):
+        tell(state.case.of("reduced model with loads"))
+        try:
+            made, places = case_model(campaign, evaluator, state, part, groups, places)
+        except ModelError as error:
+            if not groups:
+                raise
+            logger.warning("no quantities of groups are tried: %s", error)
+            groups = ()
+            made, places = case_model(campaign, evaluator, state, part, groups, places)
+        cases.append(made)
+    assert places is not None
+    first = cases[0]
+    named = [(item, place) for place, item in enumerate(groups, start=first.columns.size)]
+    usable = np.abs(first.loaded.at).max(axis=1, initial=0.0) > 0.0
+    found = list(changes_of(first.case, places, first.loaded, usable, first.mass, named))
+    return Search(campaign, cases, found, evaluation.theta)
+
+
+def _groups(state: CaseState) -> tuple[Parameter, ...]:
+    """Return quantities of the deck that no parameter of the campaign moves."""
+    own = state.campaign.parameters
+    taken = {
+        (item.quantity, target)
+        for item in (*own.parameters, *own.dependents)
+        for target in item.targets
+    }
+    given = [item.parameter for item in candidates(state.case.solver)]
+    return tuple(
+        replace(item, name=f"proposed {item.name}")
+        for item in given
+        if item.quantity not in OTHERS
+        and not any((item.quantity, target) in taken for target in item.targets)
+    )[:GROUPS]
+
+
+class Search:
+    """The search for the best changes from a state theta (n_parameters,).
+
+    misfit: the chi-square that the parameters alone leave at their best, `place` (logarithms).
+    """
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        cases: Sequence[CaseModel],
+        changes: Sequence[Change],
+        theta: Floats,
+    ) -> None:
+        self.cases, self.parameters, self.changes = cases, campaign.parameters, changes
+        without = self.trial(None)
+        start = np.clip(np.log(theta), without.lower, without.upper)
+        self.place, self.misfit = polished(without, start)
+        found = without.slopes(self.place)
+        parts = without.parts(self.place)
+        assert found is not None
+        assert parts is not None
+        self.base, self.slopes = found
+        self.width = without.upper - without.lower
+        self.freedom = sum(p[3].residual.n_independent for p in parts) - self.place.size
+        # A parameter answers within its bounds, as a standard deviation of a uniform prior.
+        prior = np.diag(np.sqrt(12.0) / np.minimum(self.width, 1e3))
+        self._answers = np.linalg.qr(np.vstack([self.slopes, prior]))[0]
+
+    def trial(self, change: Change | None) -> Trial:
+        return Trial(self.cases, change, self.parameters)
+
+    def free(self, residual: Floats) -> Floats:
+        """Return what the parameters leave of a residual by their linear answer."""
+        whole = np.concatenate([residual, np.zeros(self.place.size)])
+        return np.asarray(whole - self._answers @ (self._answers.T @ whole))
+
+    def screened(self, change: Change) -> tuple[float, Floats]:
+        """Return about the least misfit with a change, and log amplitudes for it."""
+        trial, best = self.trial(change), (np.inf, _grid(change)[0])
+        before: tuple[Floats, float] | None = None
+        if change.column < 0 and change.lower.size == 1:
+            before = self.free(self.base), 0.0
+        for at in _grid(change):
+            found = trial.residual(np.concatenate([self.place, at]))
+            if found is None or found.size != self.base.size:
+                before = None
+                continue
+            here, amplitude = self.free(found), float(np.exp(at[0]))
+            least, chosen = here, at
+            if before is not None:  # between two amplitudes residuals change linearly, or nearly so
+                way = here - before[0]
+                step = float(np.clip(-(before[0] @ way) / max(way @ way, 1e-300), 0.0, 1.0))
+                least = before[0] + step * way
+                there = before[1] + step * (amplitude - before[1])
+                chosen = np.log(np.maximum([there], change.lower))
+            if float(least @ least) < best[0]:
+                best = float(least @ least), chosen
+            before = (here, amplitude) if change.lower.size == 1 else None
+        return best
+
+    def refined(self, change: Change, amplitudes: Floats) -> tuple[Floats, float, Floats] | None:
+        """Return the best point of a change, its misfit, and half of the misfit's Hessian."""
+        trial = self.trial(change)
+        place, misfit = polished(trial, np.concatenate([self.place, amplitudes]))
+        if misfit > self.misfit:  # far from the least one; a small change leaves what there is
+            place, misfit = polished(trial, np.concatenate([self.place, _grid(change)[0]]))
+        found = trial.slopes(place)
+        return None if found is None else (place, misfit, found[1].T @ found[1])
+
+    def ranked(self, tell: Callable[[str], None] = lambda text: None) -> Proposals:
+        """Return the changes in the order of their probability."""
+        changes, screened = self.changes, []
+        for number, change in enumerate(changes):
+            if number % 50 == 0:
+                tell(f"changes: {number} of {len(changes)}")
+            screened.append(self.screened(change))
+        order = sorted(range(len(changes)), key=lambda n: screened[n][0])
+        refined: dict[int, tuple[Floats, float, Floats]] = {}
+        for n in order[:REFINED]:
+            tell(f"refined: {changes[n].label}")
+            found = self.refined(changes[n], screened[n][1])
+            if found is not None:
+                refined[n] = found
+        least = min([self.misfit, *(item[1] for item in refined.values())])
+        scale = max(1.0, least / max(self.freedom - 1, 1))
+        none = log_evidence(self.misfit, self.slopes.T @ self.slopes, self.width, scale)
+        logs = np.array([-0.5 * item[0] / scale for item in screened])
+        for n, (_, misfit, hessian) in refined.items():
+            width = np.concatenate([self.width, np.log(changes[n].upper / changes[n].lower)])
+            logs[n] = log_evidence(misfit, hessian, width, scale) - none
+        volumes = [logs[n] + 0.5 * item[1] / scale for n, item in refined.items()]
+        others = [n for n in range(len(changes)) if n not in refined]
+        logs[others] += float(np.median(volumes)) if volumes else 0.0
+        kinds = Counter(change.kind for change in changes)
+        prior = np.array([0.5 / len(kinds) / kinds[change.kind] for change in changes])
+        chances = probabilities([*logs, 0.0], np.append(prior, 0.5))
+        found = tuple(self._proposals(changes, refined, logs, chances, scale, np.log(prior)))
+        return Proposals(found, self.misfit, self.freedom, scale, float(chances[-1]), len(changes))
+
+    def _proposals(
+        self,
+        changes: Sequence[Change],
+        refined: dict[int, tuple[Floats, float, Floats]],
+        logs: Floats,
+        chances: Floats,
+        scale: float,
+        prior: Floats,
+    ) -> Iterator[Proposal]:
+        for n in sorted(refined, key=lambda n: -(logs[n] + prior[n])):
+            place, misfit, hessian = refined[n]
+            covariance = np.linalg.pinv(hessian / scale)
+            own = self.place.size
+            yield Proposal(
+                change=changes[n],
+                amplitudes=np.exp(place[own:]),
+                errors=np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0)),
+                theta=np.exp(place[:own]),
+                misfit=misfit,
+                removed=1.0 - misfit / self.misfit if self.misfit > 0.0 else 0.0,
+                log_evidence=float(logs[n]),
+                probability=float(chances[n]),
+                alike=tuple(
+                    changes[m].label
+                    for m in sorted(refined, key=lambda m: refined[m][1])
+                    if m != n and abs(refined[m][1] - misfit) < ALIKE * scale
+                ),
+            )
+
+
+def _grid(change: Change) -> list[Floats]:
+    """Return log amplitudes (n_amplitudes,) at which a change is tried, ascending."""
+    lower, upper = np.log(change.lower), np.log(change.upper)
+    if lower.size == 1:
+        return [np.array([at]) for at in np.linspace(lower[0], upper[0], AMPLITUDES)]
+    # The second amplitude of an absorber is a stiffness, whose ratio to the mass is the frequency.
+    masses = np.linspace(lower[0], upper[0], OF_ABSORBERS[0])
+    ratios = np.linspace(lower[1] - lower[0], upper[1] - upper[0], OF_ABSORBERS[1])
+    return [np.array([mass, mass + ratio]) for mass in masses for ratio in ratios]
