@@ -284,6 +284,14 @@ class AddedCards:
     numbers: tuple[tuple[Quantity, TargetKind, tuple[str, ...], float], ...]
 
 
+@dataclass(frozen=True, slots=True)
+class RigidLink:
+    """Nodes that a rigid element or body holds, and the node that they follow, 0 if unknown."""
+
+    leader: int
+    nodes: tuple[int, ...]
+
+
 #: A deck at some parameter values: what an adapter's deck makes for its program.
 Edited = Any
 
@@ -358,6 +366,17 @@ class Deck(Protocol):
             f"{self.summary.name}: masses and springs are added to CalculiX and Nastran decks, not "
             "to this model"
         )
+
+    def with_parameters(self, more: tuple[Parameter, ...]) -> Deck:
+        """Return the deck bound to more parameters, whose targets have elements of their own."""
+        return self
+
+    def released(self) -> tuple[Deck, tuple[RigidLink, ...]] | None:
+        """Return the deck without its supports and rigid links, and these links.
+
+        None where the adapter cannot take them out.
+        """
+        return None
 
     def design(self) -> DesignModel:
         """The deck's own design model, empty where it has none."""

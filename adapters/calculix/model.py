@@ -12,14 +12,20 @@ from pathlib import Path
 from modetune.adapters.calculix.additions import with_addition
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_of
-from modetune.adapters.calculix.constraints import fixed_components
+from modetune.adapters.calculix.constraints import fixed_components, read_constraints
 from modetune.adapters.calculix.damping import damped_materials, dampers
-from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number, write_edited
+from modetune.adapters.calculix.deck import (
+    KeywordCard,
+    canonical_name,
+    read_number,
+    with_added,
+    write_edited,
+)
 from modetune.adapters.calculix.loads import load_case
 from modetune.adapters.calculix.mesh import read_geometry
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.places import edited_lines, energy_sets, fields_of, find_numbers
-from modetune.adapters.calculix.structure import CalculixStructure
+from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number
 from modetune.adapters.solver import (
@@ -28,6 +34,7 @@ from modetune.adapters.solver import (
     AffectedElements,
     Deck,
     ModelSummary,
+    RigidLink,
     Target,
 )
 from modetune.core.algebra.matrices import MatrixResult
@@ -225,6 +232,20 @@ class CalculixModel(Deck):
     def edited(self, values: Values) -> EditedCalculix:
         moving = [pair for pair in self._assigned(values) if pair[0].quantity not in DAMPING]
         return EditedCalculix(self.structure, edited_lines(self.structure, moving))
+
+    def with_parameters(self, more: tuple[Parameter, ...]) -> Deck:
+        return replace(self, parameters=(*self.parameters, *more))
+
+    def released(self) -> tuple[Deck, tuple[RigidLink, ...]]:
+        deck = self.structure.deck
+        cards = [card for card in deck.named("*BOUNDARY", "*RIGID BODY")]
+        changed = {line: "**" for card in cards for line in card.lines}
+        bodies: dict[int, list[int]] = {}
+        for node, body in read_constraints(self.structure).bodies.items():
+            bodies.setdefault(body.reference, []).append(node)
+        links = tuple(RigidLink(leader, tuple(sorted(own))) for leader, own in bodies.items())
+        structure = understand(with_added(deck, changed, {}))
+        return CalculixModel(structure, self.parameters), links
 
     def with_cards(self, addition: Addition) -> AddedCards:
         return with_addition(self.structure, self.mesh(), addition)

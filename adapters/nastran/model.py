@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -58,6 +59,7 @@ from modetune.adapters.solver import (
     Edited,
     MassKind,
     ModelSummary,
+    RigidLink,
     StatedUnits,
     Target,
 )
@@ -76,6 +78,8 @@ logger = logging.getLogger(__name__)
 
 #: Cards that reduce a model: what is left of its matrices is linear in nothing.
 REDUCTIONS = ("ASET", "ASET1", "OMIT", "OMIT1")
+#: The case control's choice of supports.
+SUPPORT = re.compile(r"\s*SPC\s*=", re.IGNORECASE)
 #: pyNastran's name of the modulus that characterises a material, by its card.
 YOUNG = {"MAT1": "e", "MAT8": "e11"}
 
@@ -297,6 +301,30 @@ class NastranModel(Deck):
         groups = values.keys() - {item.name for item in self.parameters}
         every = assigned((*self.parameters, *(self._losses if groups else ())), values)
         return self.edit(pair for pair in every if pair[0].quantity not in DAMPING)
+
+    def with_parameters(self, more: tuple[Parameter, ...]) -> Deck:
+        return type(self)(self.structure, self.objections, (*self.parameters, *more))
+
+    def released(self) -> tuple[Deck, tuple[RigidLink, ...]] | None:
+        if len(self.deck.parts) > 1:
+            return None
+        changed = {
+            line: "$"
+            for card in self.deck.named("RBE2", "RBAR", "SPC", "SPC1")
+            for line in card.lines
+        }
+        for line in self.deck.case_control:
+            if SUPPORT.match(self.deck.lines[line].text):
+                changed[line] = "$"
+        links = []
+        for element in self.bulk.rigid_elements.values():
+            if element.type == "RBE2":
+                links.append(RigidLink(int(element.gn), tuple(map(int, element.Gmi))))
+            elif element.type == "RBAR":
+                links.append(RigidLink(int(element.ga), (int(element.gb),)))
+        model = understand(with_lines(self.deck, changed), self.parameters)
+        own = type(self)(model.structure, model.objections, model.parameters)
+        return own, tuple(links)
 
     def with_cards(self, addition: Addition) -> AddedCards:
         return with_addition(self.deck, self.mesh(), self.wtmass, addition)

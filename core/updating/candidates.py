@@ -12,6 +12,14 @@ projected matrices that belongs to the basis and its own few Z. A stiffness from
 is in its space.
 
 An absorber has an unknown of its own: its mass m there, and its spring k between the place and it.
+
+A support or a rigid link that yields is released in the matrices before the constraint. With T q
+the motion of the constrained model and r that of its released freedoms relative to it, the vectors
+
+    u = r - T (K - s M)^-1 T^T (K_free - s M_free) r
+
+for a few patterns r (reactions of the modes, rigid motions of the group) join the others, and the
+change is a spring of any stiffness against r; the model has the constraint where it is infinite.
 """
 
 from __future__ import annotations
@@ -23,6 +31,7 @@ from typing import Literal
 import numpy as np
 from scipy import sparse
 
+from modetune.core.algebra.matrices import upper_product
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced_basis import (
@@ -103,6 +112,34 @@ class LoadedModel:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Released:
+    """The same model without its supports and rigid links, and motions that these suppress.
+
+    matrices: of its own equations, n_free. tie: (n_free, n), the constrained model's motion of
+    them; a row is empty where a support holds it. observer: (n_rows, n_free). loads: (n_free,
+    n_loads). patterns: (n_free, n_patterns), motions relative to the tie, each group's own
+    orthonormal.
+    """
+
+    matrices: ParameterMatrices
+    tie: sparse.csr_array
+    observer: sparse.csr_array
+    loads: sparse.csr_array
+    patterns: sparse.csr_array
+
+    def lifted(self, theta: Floats, shift: float, inverse: Callable[[Floats], Floats]) -> Floats:
+        """Return the static motion (n_free, n_patterns) with each pattern.
+
+        inverse: (K - s M)^-1 of the constrained model, s the shift.
+        """
+        here = self.matrices.at(theta)
+        own = self.patterns.toarray()
+        forces = upper_product(here.upper_stiffness, own)
+        forces -= shift * upper_product(here.upper_mass, own)
+        return np.asarray(own - self.tie @ inverse(np.asfortranarray(self.tie.T @ forces)))
+
+
 def loaded_model(
     affine: ParameterMatrices,
     model: ReducedModel,
@@ -110,23 +147,33 @@ def loaded_model(
     observer: sparse.csr_array,
     inverse: Callable[[Floats], Floats],
     loads: sparse.csr_array,
+    released: Released | None = None,
+    at: tuple[Floats, float] | None = None,
 ) -> LoadedModel:
     """Return a reduced model with the responses to loads.
 
     model, basis (n, r): as of `reduced_basis.reduce`, made with `inverse`, (K - s M)^-1 of a block
-    (n, k). observer: (n_rows, n). loads: (n, n_loads).
+    (n, k). observer: (n_rows, n). loads: (n, n_loads). released: motions without supports and
+    links, which are further loads behind these; at: the values (n_columns,) and s of the inverse.
     """
     responses = np.zeros(loads.shape)
     for first in range(0, loads.shape[1], AT_ONCE):
         some = slice(first, first + AT_ONCE)
         responses[:, some] = inverse(np.asfortranarray(loads[:, some].toarray()))
+    if released is not None and at is not None:
+        affine, observer, loads = released.matrices, released.observer, released.loads
+        lifted = released.lifted(*at, inverse)
+        responses = np.hstack([released.tie @ responses, lifted])
+        basis = released.tie @ basis
+    # Responses of unit length are safe to project; those of unit load give flexibilities.
     lengths = np.linalg.norm(responses, axis=0)
     responses /= np.where(lengths > 0.0, lengths, 1.0)
-    whole = widened_model(affine, model, (basis,), responses, observer)
-    at = np.hstack([loads.T @ basis, loads.T @ responses * lengths])
-    # Responses of unit length are safe to project; those of unit load give flexibilities.
     scale = np.concatenate([np.ones(basis.shape[1]), lengths])
-    return LoadedModel(_scaled(whole, scale), basis.shape[1], at)
+    whole = _scaled(widened_model(affine, model, (basis,), responses, observer), scale)
+    moved = np.hstack([loads.T @ basis, loads.T @ responses]) * scale
+    n_patterns = responses.shape[1] - loads.shape[1]
+    own = np.eye(n_patterns, moved.shape[1], moved.shape[1] - n_patterns)
+    return LoadedModel(whole, basis.shape[1], np.vstack([moved, own]))
 
 
 def _scaled(model: ReducedModel, scale: Floats) -> ReducedModel:

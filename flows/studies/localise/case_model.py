@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from modetune.adapters.solver import Deck
 from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats, Integers
@@ -19,10 +21,13 @@ from modetune.core.updating.minima import Misfit, MisfitAt
 from modetune.core.updating.reduced_basis import ReducedModel, reduce, unreduced
 from modetune.core.updating.residual import residual_sensitivity
 from modetune.core.updating.responses.response import Residual, StateDerivatives
+from modetune.core.updating.rigid_motions import rigid_motions
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.studies.localise.changes import Change, Places, places_of
+from modetune.flows.jobs.job import Plans
+from modetune.flows.studies.localise.changes import Change, Places, ReleasedGroup, places_of
+from modetune.flows.studies.localise.releases import released_model
 from modetune.flows.updating.evaluation import CaseEvaluation, at_sensors, compare, model_state
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.matrices import MatrixSource
@@ -49,6 +54,7 @@ class CaseModel:
     case: comparing all measured frequencies and shapes. columns: of its own parameters among the
     campaign's. theta: (n_columns,), the model's at the examined state, groups behind. known: the
     case there. rows: nodes and components of the model's rows. mass: about that of the model.
+    released: supports and links that may yield, as loads behind the others.
     """
 
     case: Case
@@ -58,6 +64,7 @@ class CaseModel:
     loaded: LoadedModel
     rows: tuple[Integers, Integers]
     mass: float
+    released: tuple[ReleasedGroup, ...]
 
     def compared(self, model: ReducedModel, theta: Floats) -> CaseEvaluation:
         """Return the comparison at values of the model's columns. Raises ModesError, LostMode."""
@@ -84,13 +91,18 @@ def case_model(
     evaluator: Evaluator,
     state: CaseState,
     part: CaseEvaluation,
-    groups: Sequence[Parameter],
+    quantities: Sequence[Parameter],
     known_places: Places | None,
 ) -> tuple[CaseModel, Places]:
     own, deck = state.campaign.parameters, state.case.solver.deck
-    parameters = ParameterSet((*own.parameters, *groups), own.dependents)
+    if quantities:
+        deck = deck.with_parameters(tuple(quantities))
+        solver = replace(state.case.solver, deck=deck)
+        engine = replace(state.engine, plans=Plans(solver), order=None)
+        state = replace(state, case=replace(state.case, solver=solver), engine=engine)
+    parameters = ParameterSet((*own.parameters, *quantities), own.dependents)
     source = MatrixSource(state.engine, parameters, campaign.sensitivity.step)
-    theta = np.concatenate([part.theta, np.ones(len(groups))])
+    theta = np.concatenate([part.theta, np.ones(len(quantities))])
     columns = range(theta.size)
     evaluator.carry_out("matrices", source.works(theta, columns), state)
     affine = source.matrices(theta, columns)
@@ -107,33 +119,46 @@ def case_model(
     seen = deck.observation(affine.base, places.load_nodes, places.load_components)
     loads = sparse.csr_array(seen.matrix.T)
     here = affine.at(written)
-    n_modes = min(part.modal.modes.n_modes, size)
-    shift = first_shift(state.campaign)
     solver = ModeSolver(count=False)
-    if size <= SMALL:
+    n_modes = min(part.modal.modes.n_modes + MORE_MODES, size)
+    solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
+    shift = min(solved.shift, first_shift(state.campaign))
+    if size <= SMALL or not solver.inverts_exactly:
         solver.factorise(here.upper_stiffness, here.upper_mass, shift)
+    if size <= SMALL:
         model, basis = unreduced(affine, shift, observer), np.eye(size)
     else:
-        n_modes = min(part.modal.modes.n_modes + MORE_MODES, size)
-        solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
         _, n_rigid = solved_energies(state.campaign, here, solved)
-        if not solver.inverts_exactly:
-            solver.factorise(here.upper_stiffness, here.upper_mass, solved.shift)
         model, basis = reduce(
             affine, written, solved.eigenvalues, solved.shapes, solver.inverse,
             part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
         )  # fmt: skip
-    loaded = loaded_model(affine, model, basis, observer, solver.inverse, loads)
+    modes = solved.eigenvalues, solved.shapes
+    freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places)
+    released, groups = freed or (None, ())
+    loaded = loaded_model(
+        affine, model, basis, observer, solver.inverse, loads, released, (written, solved.shift)
+    )
     known = CaseModel(
-        case, state.columns, written, part, loaded, rows, _mass(here.upper_mass, here.components)
+        case=case,
+        columns=state.columns,
+        theta=written,
+        known=part,
+        loaded=loaded,
+        rows=rows,
+        mass=_mass(here, deck),
+        released=groups,
     )
     return replace(known, known=known.compared(loaded.changed(()), written)), places
 
 
-def _mass(upper_mass: sparse.csr_array, components: Integers) -> float:
-    """Return about the mass of a model, by the diagonal of its matrix."""
-    diagonal = upper_mass.diagonal()[components <= 3]
-    return float(diagonal.sum()) / 3.0
+def _mass(matrices: MatrixResult, deck: Deck) -> float:
+    """Return the mass of a model by its rigid translations, else about it by the diagonal."""
+    try:
+        moved = rigid_motions(matrices, deck.mesh(), True, deck.observation).shapes[:, :3]
+        return float(np.max(np.sum(moved * (matrices.mass @ moved), axis=0)))
+    except (ModesError, ModelError):
+        return float(matrices.upper_mass.diagonal()[matrices.components <= 3].sum()) / 3.0
 
 
 class Trial(Misfit):

@@ -8,6 +8,7 @@ logarithmic scale, every place of the kind too.
 | point mass, masses of all sensors | 10^-4 and 0.3 of the model's mass |
 | inertia | the same times the square of a tenth of the model's size |
 | spring to the ground, spring between close nodes | 10^-3 and 10^3 of the place's own stiffness |
+| support or rigid link that yields, by freedom | 10^-2 and 10^4 of what the rest resists there |
 | absorber | 10^-3 and 0.2 of the mass; half the first and 1.5 times the last test frequency |
 | quantity of a group | 1/5 and 5 times the deck's |
 """
@@ -29,7 +30,7 @@ from modetune.flows.campaign.case import Case
 
 Kind = Literal[
     "point mass", "inertia", "spring to ground", "rotational spring to ground", "spring",
-    "rotational spring", "absorber", "sensor masses", "group",
+    "rotational spring", "absorber", "sensor masses", "yielding support", "yielding link", "group",
 ]  # fmt: skip
 
 #: Places of masses and of springs to the ground, of absorbers, and pairs of close nodes.
@@ -38,6 +39,8 @@ PLACES, ABSORBERS, PAIRS = 200, 30, 60
 MASSES, ABSORBER_MASSES, ARM = (1e-4, 0.3), (1e-3, 0.2), 0.1
 #: Bounds of stiffnesses, shares of the place's own; of quantities of groups, of the deck's.
 STIFFNESSES, FACTORS = (1e-3, 1e3), (0.2, 5.0)
+#: Bounds of the stiffness of a support or link, by freedom, shares of the rest of the model's.
+YIELDING = (1e-2, 1e4)
 #: Bounds of an absorber's frequency, shares of the first and last of the test.
 AROUND = (0.5, 1.5)
 AXES = ("", "x", "y", "z", "about x", "about y", "about z")
@@ -62,12 +65,27 @@ class Places:
 
 
 @dataclass(frozen=True, slots=True)
+class ReleasedGroup:
+    """Freedoms of a support or link that yield together: columns of `Released.patterns`.
+
+    component: of 1..6, 0 for all.
+    """
+
+    label: str
+    support: bool
+    nodes: tuple[int, ...]
+    component: int
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Change:
     """One change of a model.
 
     nodes, component: the place; terms: what it adds, in every case that has the place. lower,
     upper: (n_amplitudes,). column: of a group's quantity among the model's parameters; quantity:
-    that itself.
+    that itself. constrained: whether the model as it is has it with an infinite amplitude, not
+    with zero.
     """
 
     kind: Kind
@@ -79,6 +97,7 @@ class Change:
     upper: Floats
     column: int = -1
     quantity: Parameter | None = None
+    constrained: bool = False
 
 
 def places_of(case: Case, components: tuple[int, ...]) -> Places:
@@ -153,11 +172,13 @@ def changes_of(
     usable: Floats,
     mass: float,
     groups: Sequence[tuple[Parameter, int]],
+    released: Sequence[ReleasedGroup] = (),
 ) -> Iterator[Change]:
     """Yield all changes of a case.
 
     usable: (n_loads,), whether a load's place can move. mass: of the model. groups: quantities and
-    their columns among the model's parameters.
+    their columns among the model's parameters. released: supports and links that may yield, whose
+    columns are loads behind those of the places.
     """
     mesh = case.solver.deck.mesh()
     row = {
@@ -173,6 +194,7 @@ def changes_of(
     yield from _masses(places, row, mass, size)
     yield from _springs(places, row, loaded)
     yield from _absorbers(places, row, mass, band)
+    yield from _yielding(released, places.load_nodes.size, loaded)
     for item, column in groups:
         bounds = np.array([FACTORS[0]]), np.array([FACTORS[1]])
         label = f"{item.quantity.replace('_', ' ')} of {', '.join(item.targets)}"
@@ -224,6 +246,23 @@ def _springs(
         for pair in places.pairs:
             label = f"{kind} between nodes {pair[0]} and {pair[1]}, {axis}"
             yield from between(kind, label, pair, component)
+
+
+def _yielding(
+    released: Sequence[ReleasedGroup], n_loads: int, loaded: LoadedModel
+) -> Iterator[Change]:
+    energy = loaded.whole.base_stiffness
+    for group in released:
+        loads = tuple(n_loads + column for column in group.columns)
+        own = np.array(loads) + loaded.size
+        stiffness = float(np.median(energy[own, own]))  # of the rest of the model
+        term = Term("stiffness", 0, loads, np.eye(len(loads)))
+        lower, upper = (np.array([share * stiffness]) for share in YIELDING)
+        kind: Kind = "yielding support" if group.support else "yielding link"
+        yield Change(
+            kind, f"{group.label} yields", group.nodes, group.component, (term,), lower, upper,
+            constrained=True,
+        )  # fmt: skip
 
 
 def _absorbers(

@@ -32,9 +32,11 @@ from modetune.flows.updating.mode_source import CaseState
 
 logger = logging.getLogger(__name__)
 
-#: Amplitudes between the bounds at which every change is tried, masses and frequencies of an
-#: absorber, and changes that are then refined.
-AMPLITUDES, OF_ABSORBERS, REFINED = 6, (2, 5), 30
+#: Amplitudes between the bounds at which every change is tried; masses and frequencies of an
+#: absorber.
+AMPLITUDES, OF_ABSORBERS = 6, (2, 5)
+#: Changes that are then refined: the best, and the best of each kind.
+REFINED, OF_KIND = 24, 2
 #: Quantities of groups that are tried, each with a matrix job of its own at most.
 GROUPS = 20
 #: Quantities that others stand for: a density as a mass, a dimension as a thickness or a modulus.
@@ -124,7 +126,9 @@ def search_of(
     first = cases[0]
     named = [(item, place) for place, item in enumerate(groups, start=first.columns.size)]
     usable = np.abs(first.loaded.at).max(axis=1, initial=0.0) > 0.0
-    found = list(changes_of(first.case, places, first.loaded, usable, first.mass, named))
+    found = list(
+        changes_of(first.case, places, first.loaded, usable, first.mass, named, first.released)
+    )
     return Search(campaign, cases, found, evaluation.theta)
 
 
@@ -184,9 +188,9 @@ class Search:
     def screened(self, change: Change) -> tuple[float, Floats]:
         """Return about the least misfit with a change, and log amplitudes for it."""
         trial, best = self.trial(change), (np.inf, _grid(change)[0])
-        before: tuple[Floats, float] | None = None
-        if change.column < 0 and change.lower.size == 1:
-            before = self.free(self.base), 0.0
+        one = change.lower.size == 1
+        plain = change.column < 0 and not change.constrained  # nothing is changed at zero
+        before = (self.free(self.base), 0.0) if one and plain else None
         for at in _grid(change):
             found = trial.residual(np.concatenate([self.place, at]))
             if found is None or found.size != self.base.size:
@@ -202,7 +206,7 @@ class Search:
                 chosen = np.log(np.maximum([there], change.lower))
             if float(least @ least) < best[0]:
                 best = float(least @ least), chosen
-            before = (here, amplitude) if change.lower.size == 1 else None
+            before = (here, amplitude) if one else None
         return best
 
     def refined(self, change: Change, amplitudes: Floats) -> tuple[Floats, float, Floats] | None:
@@ -210,7 +214,8 @@ class Search:
         trial = self.trial(change)
         place, misfit = polished(trial, np.concatenate([self.place, amplitudes]))
         if misfit > self.misfit:  # far from the least one; a small change leaves what there is
-            place, misfit = polished(trial, np.concatenate([self.place, _grid(change)[0]]))
+            none = _grid(change)[-1 if change.constrained else 0]
+            place, misfit = polished(trial, np.concatenate([self.place, none]))
         found = trial.slopes(place)
         return None if found is None else (place, misfit, found[1].T @ found[1])
 
@@ -223,7 +228,7 @@ class Search:
             screened.append(self.screened(change))
         order = sorted(range(len(changes)), key=lambda n: screened[n][0])
         refined: dict[int, tuple[Floats, float, Floats]] = {}
-        for n in order[:REFINED]:
+        for n in _chosen(changes, order):
             tell(f"refined: {changes[n].label}")
             found = self.refined(changes[n], screened[n][1])
             if found is not None:
@@ -272,6 +277,16 @@ class Search:
                     if m != n and abs(refined[m][1] - misfit) < ALIKE * scale
                 ),
             )
+
+
+def _chosen(changes: Sequence[Change], order: Sequence[int]) -> list[int]:
+    """Return which changes to refine, in their order: the best, and the best few of each kind."""
+    seen, found = Counter[str](), []
+    for place, n in enumerate(order):
+        seen[changes[n].kind] += 1
+        if place < REFINED or seen[changes[n].kind] <= OF_KIND:
+            found.append(n)
+    return found
 
 
 def _grid(change: Change) -> list[Floats]:

@@ -1,0 +1,216 @@
+"""Supports and rigid links that may yield: the model without them, from a matrix job of its own."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from modetune.adapters.solver import RigidLink
+from modetune.core.algebra.matrices import MatrixResult, upper_product
+from modetune.core.correlation.correlation import rigid_body_shapes
+from modetune.core.errors import ModelError, NoResult
+from modetune.core.mesh import Mesh
+from modetune.core.modes import Floats, Integers
+from modetune.core.parameters import ParameterSet
+from modetune.core.updating.candidates import Released
+from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.jobs.job import Plans
+from modetune.flows.studies.localise.changes import AXES, Places, ReleasedGroup
+from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.matrices import MatrixSource
+from modetune.flows.updating.mode_source import CaseState
+from modetune.flows.updating.solutions import named_freedoms
+
+logger = logging.getLogger(__name__)
+
+#: Supports and links at most, the largest first; motions of a group at most.
+SUPPORTS, LINKS, MOTIONS = 8, 12, 24
+#: The free model tied again is the constrained one but for the rounding of printed matrices.
+TIED = 1e-5
+#: Motions that depend on others to this share of their length are left out.
+DEPENDENT = 1e-6
+
+
+def released_model(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    state: CaseState,
+    parameters: ParameterSet,
+    theta: Floats,
+    base: MatrixResult,
+    modes: tuple[Floats, Floats],
+    places: Places,
+) -> tuple[Released, tuple[ReleasedGroup, ...]] | None:
+    """Return a case's model without supports and links, None where it has none or cannot be had.
+
+    theta: (n_columns,), values of the parameters; base: the constrained model there; modes: its
+    eigenvalues (n_modes,) and shapes (n, n_modes).
+    """
+    deck, case = state.case.solver.deck, state.case
+    try:
+        freed = deck.released()
+        if freed is None:
+            return None
+        free, links = freed
+        solver = replace(case.solver, deck=free)
+        engine = replace(state.engine, plans=Plans(solver), order=None)
+        source = MatrixSource(engine, parameters, campaign.sensitivity.step)
+        columns = range(theta.size)
+        own = replace(state, engine=engine)
+        evaluator.carry_out("matrices without supports", source.works(theta, columns), own)
+        matrices = source.matrices(theta, columns)
+    except (ModelError, NoResult) as error:
+        logger.info("supports and links are not released: %s", error)
+        return None
+    here = matrices.at(source.written(theta))
+    seen = _tie(deck.observation(base, here.nodes, here.components).matrix, base, here)
+    if seen is None or not _is_same(seen, here, base):
+        logger.info("supports and links are not released: the free model is not the same one")
+        return None
+    nodes, components = named_freedoms(case.nodes)
+    found = list(_groups(here, base, seen, deck.mesh(), links))
+    patterns, groups = _patterns(found, here, seen, modes, deck.mesh())
+    if not groups:
+        return None
+    observed = free.observation(here, nodes, components)
+    loads = free.observation(here, places.load_nodes, places.load_components)
+    return (
+        Released(matrices, seen, observed.matrix, sparse.csr_array(loads.matrix.T), patterns),
+        groups,
+    )
+
+
+def _tie(seen: sparse.csr_array, base: MatrixResult, free: MatrixResult) -> sparse.csr_array | None:
+    """Return the constrained model's motion of the free equations; None where it is unclear.
+
+    seen: by names, which is not the equation itself where a name occurs several times.
+    """
+    tie = sparse.lil_array(seen)
+    places: dict[tuple[int, int], list[int]] = {}
+    for row, name in enumerate(zip(base.nodes.tolist(), base.components.tolist(), strict=True)):
+        places.setdefault(name, []).append(row)
+    own: dict[tuple[int, int], list[int]] = {}
+    for row, name in enumerate(zip(free.nodes.tolist(), free.components.tolist(), strict=True)):
+        own.setdefault(name, []).append(row)
+    for name, rows in own.items():
+        known = places.get(name, [])
+        if known and len(known) != len(rows):
+            return None
+        for row, column in zip(rows, known, strict=False):
+            tie[[row]] = 0.0
+            tie[row, column] = 1.0
+    return sparse.csr_array(tie)
+
+
+def _is_same(tie: sparse.csr_array, free: MatrixResult, base: MatrixResult) -> bool:
+    """Return whether the free model with the ties is the constrained one."""
+    for whole, own in ((free.stiffness, base.stiffness), (free.mass, base.mass)):
+        apart = abs(sparse.csr_array(tie.T @ whole @ tie) - own)
+        if apart.nnz and float(apart.max()) > TIED * float(abs(own).max()):
+            return False
+    return True
+
+
+def _groups(
+    free: MatrixResult,
+    base: MatrixResult,
+    tie: sparse.csr_array,
+    mesh: Mesh,
+    links: Sequence[RigidLink],
+) -> Iterator[tuple[str, bool, tuple[int, ...], Integers]]:
+    """Yield label, whether a support, nodes, and rows of the free equations of each group."""
+    held = np.diff(tie.indptr) == 0
+    nodes = np.unique(free.nodes[held])
+    if mesh.nodes.size:  # others are made by the solver, as of a beam's end that is held
+        nodes = nodes[np.isin(nodes, mesh.nodes)]
+    for some in sorted(_connected(nodes, mesh), key=len, reverse=True)[:SUPPORTS]:
+        rows = np.flatnonzero(held & np.isin(free.nodes, some))
+        yield f"support at {_named(some)}", True, tuple(some.tolist()), rows
+    there = np.isin(_marks(free), _marks(base))
+    for link in sorted(links, key=lambda item: -len(item.nodes))[:LINKS]:
+        rows = np.flatnonzero(~there & ~held & np.isin(free.nodes, link.nodes))
+        if rows.size:
+            text = f"rigid link of node {link.leader} to {_named(np.array(link.nodes))}"
+            yield text, False, link.nodes, rows
+
+
+def _marks(matrices: MatrixResult) -> Integers:
+    return np.asarray(7 * matrices.nodes + matrices.components)
+
+
+def _named(nodes: Integers) -> str:
+    if nodes.size == 1:
+        return f"node {nodes[0]}"
+    return f"{nodes.size} nodes ({nodes.min()} to {nodes.max()})"
+
+
+def _connected(nodes: Integers, mesh: Mesh) -> list[Integers]:
+    """Return nodes in groups that elements join."""
+    if nodes.size < 2 or not mesh.nodes.size:
+        return [nodes] if nodes.size else []
+    first, second = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for cells in mesh.cells:
+        inside = np.isin(cells.nodes, nodes)
+        for row in np.flatnonzero(inside.sum(axis=1) > 1):
+            own = np.searchsorted(nodes, cells.nodes[row][inside[row]])
+            first.append(np.repeat(own[0], own.size - 1))
+            second.append(own[1:])
+    a, b = np.concatenate(first), np.concatenate(second)
+    joined = sparse.coo_array((np.ones(a.size), (a, b)), shape=(nodes.size,) * 2)
+    labels = connected_components(joined, directed=False)[1]
+    return [nodes[labels == label] for label in np.unique(labels)]
+
+
+def _patterns(
+    groups: Sequence[tuple[str, bool, tuple[int, ...], Integers]],
+    free: MatrixResult,
+    tie: sparse.csr_array,
+    modes: tuple[Floats, Floats],
+    mesh: Mesh,
+) -> tuple[sparse.csr_array, tuple[ReleasedGroup, ...]]:
+    """Return motions of the groups, (n_free, n_patterns), and which are whose."""
+    eigenvalues, shapes = modes
+    shapes = tie @ shapes
+    forces = upper_product(free.upper_stiffness, shapes)
+    forces -= upper_product(free.upper_mass, shapes) * eigenvalues
+    columns: list[sparse.csr_array] = []
+    found: list[ReleasedGroup] = []
+    for label, support, nodes, rows in groups:
+        components = np.unique(free.components[rows]).tolist()
+        for component in [0, *components] if len(components) > 1 else components:
+            own = rows if not component else rows[free.components[rows] == component]
+            motions = _motions(own, free, mesh, forces)
+            start = sum(item.shape[1] for item in columns)
+            spread = sparse.lil_array((free.nodes.size, motions.shape[1]))
+            spread[own] = motions
+            columns.append(sparse.csr_array(spread))
+            axis = f", {AXES[component]}" if component else ""
+            places = tuple(range(start, start + motions.shape[1]))
+            found.append(ReleasedGroup(f"{label}{axis}", support, nodes, component, places))
+    whole = (
+        sparse.hstack(columns, format="csr") if columns else sparse.csr_array((free.nodes.size, 0))
+    )
+    return sparse.csr_array(whole), tuple(found)
+
+
+def _motions(rows: Integers, free: MatrixResult, mesh: Mesh, forces: Floats) -> Floats:
+    """Return orthonormal motions (n_rows, n) of some freedoms: all of a few, else rigid motions and
+    reactions of the modes, those of the first ones first."""
+    if rows.size <= MOTIONS:
+        return np.eye(rows.size)
+    parts = [forces[rows][:, : MOTIONS - 6]]
+    if mesh.nodes.size and np.isin(free.nodes[rows], mesh.nodes).all():
+        places = mesh.coordinates[mesh.rows(free.nodes[rows])]
+        parts.append(rigid_body_shapes(places - places.mean(axis=0), free.components[rows]))
+    lengths = [np.linalg.norm(part, axis=0) for part in parts]
+    scaled = [
+        part / np.where(own > 0.0, own, 1.0) for part, own in zip(parts, lengths, strict=True)
+    ]
+    left, values, _ = np.linalg.svd(np.hstack(scaled), full_matrices=False)
+    kept = values > DEPENDENT * values[0]
+    return np.asarray(left[:, kept])
