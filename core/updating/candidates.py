@@ -30,8 +30,10 @@ from typing import Literal
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import solve_triangular
 
 from modetune.core.algebra.matrices import upper_product
+from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced_basis import (
@@ -92,10 +94,8 @@ class LoadedModel:
         model, at = _turned(model, turn), self.at[:, places] @ turn
         n_own = max((term.own.shape[1] for term in terms), default=0)
         model = _padded(model, n_own)
-        n_before, n_amplitudes = (
-            model.reference.size,
-            1 + max((t.amplitude for t in terms), default=-1),
-        )
+        n_before = model.reference.size
+        n_amplitudes = 1 + max((term.amplitude for term in terms), default=-1)
         added: dict[str, list[ReducedPart]] = {"stiffness": [], "mass": []}
         for term in terms:
             rows = np.zeros((term.vectors.shape[0], model.size))
@@ -173,7 +173,20 @@ def loaded_model(
     moved = np.hstack([loads.T @ basis, loads.T @ responses]) * scale
     n_patterns = responses.shape[1] - loads.shape[1]
     own = np.eye(n_patterns, moved.shape[1], moved.shape[1] - n_patterns)
-    return LoadedModel(whole, basis.shape[1], np.vstack([moved, own]))
+    return _orthonormal(LoadedModel(whole, basis.shape[1], np.vstack([moved, own])))
+
+
+def _orthonormal(loaded: LoadedModel) -> LoadedModel:
+    """Return the model with a basis that is orthonormal with respect to K - s M."""
+    whole, size = loaded.whole, loaded.size
+    energy = whole.base_stiffness - whole.shift * whole.base_mass
+    try:
+        lower = np.linalg.cholesky(energy[:size, :size])
+    except np.linalg.LinAlgError as error:
+        raise ModesError("the basis of a reduced model depends on itself") from error
+    turn = np.eye(whole.size)
+    turn[:size, :size] = solve_triangular(lower, np.eye(size), lower=True).T
+    return LoadedModel(_turned(whole, turn), size, loaded.at @ turn)
 
 
 def _scaled(model: ReducedModel, scale: Floats) -> ReducedModel:
@@ -218,11 +231,11 @@ def _mapped(model: ReducedModel, square: Callable[[Floats], Floats], rows: Float
 def _independent(energy: Floats, size: int) -> Floats:
     """Return combinations of vectors without those that the first `size` already span, (r, r_new).
 
-    energy: (r, r), products of the vectors with respect to K - s M.
+    energy: (r, r), products of the vectors with respect to K - s M; the first are orthonormal.
     """
     new = np.arange(size, energy.shape[0])
-    inside = np.linalg.solve(energy[:size, :size], energy[:size, new])
-    outside = energy[np.ix_(new, new)] - energy[:size, new].T @ inside
+    inside = energy[:size, new]
+    outside = energy[np.ix_(new, new)] - inside.T @ inside
     lengths = energy[new, new]
     scale = 1.0 / np.sqrt(np.where(lengths > 0.0, lengths, np.inf))
     squares, turned = np.linalg.eigh(scale[:, None] * outside * scale)

@@ -164,7 +164,9 @@ class ReducedModel:
         stiffness, mass = self.base_stiffness.copy(), self.base_mass.copy()
         for whole, parts in ((stiffness, self.stiffness), (mass, self.mass)):
             for part in parts:
-                whole += part.moved(theta, self.reference)
+                factors = factors_moved(part, theta, self.reference)
+                if factors.any():
+                    whole += np.tensordot(factors, part.values, axes=1)
         return stiffness, mass
 
     def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:

@@ -42,7 +42,7 @@ from modetune.flows.updating.solutions import (
 #: Unknowns up to which there are proposals, and up to which a model is not reduced.
 MOST_UNKNOWNS, SMALL = 400_000, 120
 #: Modes of the basis beyond those that are compared, and vectors at most.
-MORE_MODES, MOST_VECTORS = 12, 250
+MORE_MODES, MOST_VECTORS = 12, 150
 #: Eigenvalues below this share of the first elastic one are those of rigid modes.
 RIGID = 1e-4
 
