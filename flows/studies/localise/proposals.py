@@ -14,6 +14,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,6 +36,8 @@ logger = logging.getLogger(__name__)
 #: Amplitudes between the bounds at which every change is tried; masses and frequencies of an
 #: absorber.
 AMPLITUDES, OF_ABSORBERS = 6, (2, 5)
+#: Amplitudes between these that are tried where the residual seems least.
+BETWEEN = 2
 #: Changes that are then refined: the best, and the best of each kind.
 REFINED, OF_KIND = 24, 2
 #: Quantities of groups that are tried, each with a matrix job of its own at most.
@@ -188,25 +191,26 @@ class Search:
     def screened(self, change: Change) -> tuple[float, Floats]:
         """Return about the least misfit with a change, and log amplitudes for it."""
         trial, best = self.trial(change), (np.inf, _grid(change)[0])
-        one = change.lower.size == 1
-        plain = change.column < 0 and not change.constrained  # nothing is changed at zero
-        before = (self.free(self.base), 0.0) if one and plain else None
-        for at in _grid(change):
+        tried: list[tuple[float, Floats]] = []
+        if change.column < 0 and not change.constrained:  # nothing is changed at zero
+            tried.append((0.0, self.free(self.base)))
+
+        def value(at: Floats) -> tuple[float, Floats]:
             found = trial.residual(np.concatenate([self.place, at]))
             if found is None or found.size != self.base.size:
-                before = None
-                continue
-            here, amplitude = self.free(found), float(np.exp(at[0]))
-            least, chosen = here, at
-            if before is not None:  # between two amplitudes residuals change linearly, or nearly so
-                way = here - before[0]
-                step = float(np.clip(-(before[0] @ way) / max(way @ way, 1e-300), 0.0, 1.0))
-                least = before[0] + step * way
-                there = before[1] + step * (amplitude - before[1])
-                chosen = np.log(np.maximum([there], change.lower))
-            if float(least @ least) < best[0]:
-                best = float(least @ least), chosen
-            before = (here, amplitude) if one else None
+                return np.inf, at
+            here = self.free(found)
+            tried.append((float(np.exp(at[0])), here))
+            return float(here @ here), at
+
+        for at in _grid(change):
+            best = min(best, value(at), key=lambda item: item[0])
+        for _ in range(BETWEEN if change.lower.size == 1 else 0):
+            amplitude = _between(tried)
+            if amplitude is None:
+                break
+            there = np.log(np.clip([amplitude], change.lower, change.upper))
+            best = min(best, value(there), key=lambda item: item[0])
         return best
 
     def refined(self, change: Change, amplitudes: Floats) -> tuple[Floats, float, Floats] | None:
@@ -243,6 +247,8 @@ class Search:
         volumes = [logs[n] + 0.5 * item[1] / scale for n, item in refined.items()]
         others = [n for n in range(len(changes)) if n not in refined]
         logs[others] += float(np.median(volumes)) if volumes else 0.0
+        # What was not worth refining is not better than what was.
+        logs[others] = np.minimum(logs[others], np.median([logs[n] for n in refined] or [0.0]))
         kinds = Counter(change.kind for change in changes)
         prior = np.array([0.5 / len(kinds) / kinds[change.kind] for change in changes])
         chances = probabilities([*logs, 0.0], np.append(prior, 0.5))
@@ -277,6 +283,23 @@ class Search:
                     if m != n and abs(refined[m][1] - misfit) < ALIKE * scale
                 ),
             )
+
+
+def _between(tried: Sequence[tuple[float, Floats]]) -> float | None:
+    """Return the amplitude between two neighbours where a line between their residuals is shortest.
+
+    tried: amplitudes and residuals. None where none is shorter than those tried.
+    """
+    ordered = sorted(tried, key=lambda item: item[0])
+    least = min((float(own @ own) for _, own in ordered), default=0.0)
+    found = None
+    for (low, here), (high, there) in pairwise(ordered):
+        way = there - here
+        share = float(np.clip(-(here @ way) / max(way @ way, 1e-300), 0.0, 1.0))
+        value = float(np.sum((here + share * way) ** 2))
+        if value < least and 0.0 < share < 1.0:
+            least, found = value, low + share * (high - low)
+    return found
 
 
 def _chosen(changes: Sequence[Change], order: Sequence[int]) -> list[int]:
