@@ -39,7 +39,7 @@ from benchmarks.zoo.structure import Generator, Structure
 
 import modetune
 from modetune.configs.measuring import noisy
-from modetune.core.modes import COMPONENTS, ModeSet
+from modetune.core.modes import COMPONENTS, Floats, ModeSet
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.studies.localise.proposals import Search, search_of
@@ -150,7 +150,6 @@ def campaign_of(structure: Structure, test: ModeSet, folder: Path) -> Campaign:
                 "shape_weight": 1.0,
                 "shape_deviation": SHAPE_NOISE,
             },
-            "update": {"starts": 1},
             "report": {"page": False},
             "run": {"parallel": 1, "threads": 1},
             "store": str(folder / "store"),
@@ -160,11 +159,11 @@ def campaign_of(structure: Structure, test: ModeSet, folder: Path) -> Campaign:
 
 
 @contextmanager
-def searching(campaign: Campaign) -> Iterator[tuple[Search, int]]:
-    """A search on a campaign's model, from its start, and the solver runs that it took."""
+def searching(campaign: Campaign, theta: Floats) -> Iterator[tuple[Search, int]]:
+    """A search on a campaign's model from these values, and the solver runs that it took."""
     with solving_engine(campaign) as engine:
         evaluator = evaluator_of(campaign, engine, demand=Demand(steps=1, matrices=True))
-        evaluation, _ = evaluator.evaluate("values", campaign.start, None, alone=True)
+        evaluation, _ = evaluator.evaluate("values", theta, None, alone=True)
         search = search_of(campaign, evaluator, evaluation)
         yield search, evaluator.runs.modal + evaluator.runs.sensitivity
 
@@ -189,14 +188,16 @@ def try_twin(family: str, seed: int, kind: str) -> Outcome:
             mass = _mass(structure, truth, folder / "mass")
             hidden = hidden_change(structure, kind, rng, mass)
             modes, _ = truth_of(hidden.structure, truth, folder / "true")
-            with searching(campaign_of(own, modes, folder / "exact")) as (exact, _):
+            known = np.array([truth[item["name"]] for item in own.parameters])
+            with searching(campaign_of(own, modes, folder / "exact"), known) as (exact, _):
                 noncentrality = exact.misfit
                 if kind != "none" and noncentrality < SEEN:
                     return Outcome(*given, hidden.about, noncentrality, failed="too small to see")
                 measured = noisy(modes, FREQUENCY_NOISE, SHAPE_NOISE, int(rng.integers(2**31)))
                 campaign = campaign_of(own, measured, folder / "noisy")
+                updated = modetune.update(campaign, folder / "runs").record.updated
                 began = time.monotonic()
-                with searching(campaign) as (search, runs):
+                with searching(campaign, updated) as (search, runs):
                     found = search.ranked()
                 seconds = time.monotonic() - began
                 rank = next(

@@ -37,12 +37,8 @@ class Applied:
     cards: tuple[str, ...]
 
 
-def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
-    """Write a change into copies of the deck and of the campaign.
-
-    out: the new campaign file, in the folder of the campaign's own. Raises CampaignError,
-    ModelError.
-    """
+def check_place(campaign: Campaign, out: Path) -> None:
+    """Raise CampaignError where a new campaign cannot be written."""
     if out.resolve().parent != campaign.file.resolve().parent:
         raise CampaignError(
             f"{out}: the new campaign file must be in the folder of {campaign.file}, as its paths "
@@ -50,6 +46,15 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
         )
     if out.exists():
         raise CampaignError(f"{out} exists already; name a new campaign file")
+
+
+def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
+    """Write a change into copies of the deck and of the campaign.
+
+    out: the new campaign file, in the folder of the campaign's own. Raises CampaignError,
+    ModelError.
+    """
+    check_place(campaign, out)
     change, decks = proposal.change, dict[Path, AddedCards]()
     if change.kind == "group":
         if change.quantity is None:

@@ -41,6 +41,8 @@ MASSES, ABSORBER_MASSES, ARM = (1e-4, 0.3), (1e-3, 0.2), 0.1
 STIFFNESSES, FACTORS = (1e-3, 1e3), (0.2, 5.0)
 #: Bounds of the stiffness of a support or link, by freedom, shares of the rest of the model's.
 YIELDING = (1e-2, 1e4)
+#: What the rest resists is nothing below this share of the most that it does anywhere.
+NOTHING = 1e-9
 #: Bounds of an absorber's frequency, shares of the first and last of the test.
 AROUND = (0.5, 1.5)
 AXES = ("", "x", "y", "z", "about x", "about y", "about z")
@@ -251,11 +253,18 @@ def _springs(
 def _yielding(
     released: Sequence[ReleasedGroup], n_loads: int, loaded: LoadedModel
 ) -> Iterator[Change]:
-    energy = loaded.whole.base_stiffness
+    whole = loaded.whole
+    resists = np.diag(whole.base_stiffness - whole.shift * whole.base_mass)[loaded.size + n_loads :]
+    largest = {
+        turning: max((float(resists[list(g.columns)].max()) for g in released
+                      if (g.component > 3) == turning), default=0.0)
+        for turning in (False, True)
+    }  # fmt: skip
     for group in released:
         loads = tuple(n_loads + column for column in group.columns)
-        own = np.array(loads) + loaded.size
-        stiffness = float(np.median(energy[own, own]))  # of the rest of the model
+        stiffness = float(np.median(resists[list(group.columns)]))  # of the rest of the model
+        if stiffness <= NOTHING * largest[group.component > 3]:
+            continue  # the rest neither holds nor weighs anything there
         term = Term("stiffness", 0, loads, np.eye(len(loads)))
         lower, upper = (np.array([share * stiffness]) for share in YIELDING)
         kind: Kind = "yielding support" if group.support else "yielding link"

@@ -77,6 +77,10 @@ def localise(
         raise CampaignError("--apply and --out go together: `--apply 1 --out new_campaign.yaml`")
     if apply is not None and not changes:
         raise CampaignError("--apply needs the changes that --no-changes leaves out")
+    if out is not None:
+        from modetune.flows.studies.localise.apply import check_place
+
+        check_place(on.campaign, out)
     campaign, theta = one_model(on.campaign, record, configuration)
     on.working("modes and sensitivities")
     found = find(campaign, theta, changes, on.working)

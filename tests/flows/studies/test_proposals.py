@@ -1,0 +1,235 @@
+"""Changes that a model lacks: found from tests of solvers' own runs of the changed decks."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from benchmarks.proposals import campaign_of, searching
+from benchmarks.zoo.__main__ import truth_of
+from benchmarks.zoo.matrix_models import chain
+from benchmarks.zoo.structure import Structure
+
+import modetune
+from modetune.adapters.test_files.modes_csv import write_modes_csv
+from modetune.configs.cases import write_case
+from modetune.configs.measuring import noisy, signed
+from modetune.flows.studies.localise.proposals import Search
+from tests.command_line import run_command
+
+needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
+needs_mystran = pytest.mark.skipif(
+    shutil.which("mystran") is None, reason="MYSTRAN is not here (tools/mystran.sh)"
+)
+#: Noise that the campaigns of these tests state.
+FREQUENCY, SHAPE = 0.002, 0.05
+#: An estimate of the change's size within so many of its standard errors.
+SURE = 4.0
+
+
+@contextmanager
+def searched(
+    structure: Structure, real: Structure, truth: dict[str, float], folder: Path, noise: int = 1
+) -> Iterator[Search]:
+    """A search on a structure whose test is of another one; noise: seed, 0 for none."""
+    (folder / "true").mkdir(parents=True)
+    modes, _ = truth_of(real, truth, folder / "true")
+    if noise:
+        modes = noisy(modes, FREQUENCY, SHAPE, noise)
+    campaign = campaign_of(structure, modes, folder / "campaign")
+    with searching(campaign, np.array([truth[n] for n in campaign.parameters.names])) as (it, _):
+        yield it
+
+
+def block(held: tuple[int, int], more: str = "") -> Structure:
+    """A cantilever of solids in two materials. held: directions at its root; more: cards."""
+    nx, ny, nz = 6, 1, 1
+    number = {
+        (i, j, k): 1 + i * (ny + 1) * (nz + 1) + j * (nz + 1) + k
+        for i in range(nx + 1)
+        for j in range(ny + 1)
+        for k in range(nz + 1)
+    }
+    text = "*NODE, NSET=NALL\n" + "".join(
+        f"{n}, {25.0 * i}, {40.0 * j}, {9.0 * k}\n" for (i, j, k), n in number.items()
+    )
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    for name, columns in (("ROOT", range(3)), ("TIP", range(3, nx))):
+        text += f"*ELEMENT, TYPE=C3D8I, ELSET={name}\n"
+        for i in columns:
+            for j in range(ny):
+                own = [number[i + a, j + b, c] for c in (0, 1) for a, b in corners]
+                text += f"{1 + i * ny + j}, {', '.join(map(str, own))}\n"
+        text += f"*MATERIAL, NAME={name}\n*ELASTIC\n70000., 0.33\n*DENSITY\n2.7e-9\n"
+        text += f"*SOLID SECTION, ELSET={name}, MATERIAL={name}\n"
+    root = [n for (i, _, _), n in number.items() if i == 0]
+    text += more + "*BOUNDARY\n" + "".join(f"{n}, {held[0]}, {held[1]}\n" for n in root)
+    sensors = tuple(number[i, j, 1] for i in range(1, 7) for j in (0, 1))
+    parameters = tuple(
+        {"name": f"E_{name}", "quantity": "youngs_modulus", "material": name}
+        for name in ("ROOT", "TIP")
+    )
+    return Structure("block", text, parameters, sensors, 6)
+
+
+@needs_ccx
+def test_a_clamp_that_yields_is_found_with_its_stiffness(tmp_path: Path) -> None:
+    springs = "*ELEMENT, TYPE=SPRING1, ELSET=SOFT\n"
+    springs += (
+        "".join(f"{1000 + n}, {n}\n" for n in range(1, 5)) + "*SPRING, ELSET=SOFT\n1\n20000.\n"
+    )
+    truth = {"E_ROOT": 1.1, "E_TIP": 0.95}
+    with searched(block((1, 3)), block((2, 3), springs), truth, tmp_path, noise=3) as search:
+        found = search.ranked()
+    best = next(item for item in found.found if item.change.label.endswith("x yields"))
+    # Whether it yields across too cannot be seen where it hardly moves across.
+    assert found.proposed
+    assert {item.change.kind for item in found.found[:2]} == {"yielding support"}
+    assert abs(np.log(best.amplitudes[0] / 20000.0)) < SURE * best.errors[0]
+    assert best.theta == pytest.approx([1.1, 0.95], abs=0.05)
+    # Chi-square with as many degrees of freedom: 5 standard deviations.
+    assert best.misfit < found.freedom + 5.0 * np.sqrt(2.0 * found.freedom)
+    assert found.misfit > 100.0 * found.freedom
+
+
+@needs_ccx
+def test_a_part_whose_modulus_is_not_updated_is_found_with_its_factor(tmp_path: Path) -> None:
+    known = block((1, 3))
+    truth = {"E_ROOT": 1.1, "E_TIP": 0.7}
+    own = replace(known, parameters=known.parameters[:1])
+    with searched(own, known, truth, tmp_path) as search:
+        best = search.ranked().found[0]
+    assert best.change.quantity is not None
+    assert (best.change.quantity.quantity, best.change.quantity.targets) == (
+        "youngs_modulus",
+        ("TIP",),
+    )
+    assert abs(np.log(best.amplitudes[0] / 0.7)) < SURE * best.errors[0]
+
+
+@needs_ccx
+def test_nothing_is_proposed_where_nothing_lacks(tmp_path: Path) -> None:
+    known = block((1, 3))
+    with searched(known, known, {"E_ROOT": 1.1, "E_TIP": 0.95}, tmp_path) as search:
+        found = search.ranked()
+    assert not found.proposed
+    assert found.nothing > 0.5
+
+
+@needs_mystran
+def test_a_spring_on_a_rotation_is_found_on_mystran(tmp_path: Path) -> None:
+    def boom(more: str = "") -> Structure:
+        text = "SOL 103\nCEND\nMETHOD = 1\nSPC = 1\nBEGIN BULK\nEIGRL,1,,,12\nPARAM,COUPMASS,1\n"
+        text += "".join(f"GRID,{n + 1},,{120.0 * n},0.,0.\n" for n in range(11))
+        for n in range(10):
+            text += f"CBAR,{n + 1},{1 + n // 5},{n + 1},{n + 2},0.,0.,1.\n"
+        for number in (1, 2):
+            text += f"PBAR,{number},{number},300.,9000.,16000.,20000.\n"
+            text += f"MAT1,{number},70000.,,.33,2.7-9\n"
+        return Structure(
+            "boom", f"{text}SPC1,1,123456,1\n{more}ENDDATA\n",
+            tuple({"name": f"E{n}", "quantity": "youngs_modulus", "material": n} for n in (1, 2)),
+            tuple(range(2, 12)), 6, solver="mystran",
+        )  # fmt: skip
+
+    held = boom("CELAS2,900,5.E6,7,5\n")
+    with searched(boom(), held, {"E1": 1.05, "E2": 0.9}, tmp_path) as search:
+        found = search.ranked()
+    best = found.found[0]
+    assert best.change.label == "rotational spring to ground at node 7, about y"
+    assert abs(np.log(best.amplitudes[0] / 5e6)) < SURE * best.errors[0]
+
+
+def test_a_mass_is_found_in_a_model_of_matrices(tmp_path: Path) -> None:
+    known = chain(np.random.default_rng(3))
+    assert isinstance(known.deck, dict)
+    mass = np.array(known.deck["mass"], dtype=np.float64)
+    place = len(mass) // 2
+    lacking = 0.4 * mass[place, place]
+    mass[place, place] += lacking
+    truth = {item["name"]: 1.1 for item in known.parameters}
+    real = replace(known, deck={**known.deck, "mass": mass})
+    with searched(known, real, truth, tmp_path, noise=0) as search:
+        best = search.ranked().found[0]
+    assert best.change.label == f"point mass at node {place + 1}"
+    # Without noise, and unreduced: the rounding of the search's end.
+    assert best.amplitudes[0] == pytest.approx(lacking, rel=1e-3)
+    assert best.misfit < 1e-3
+
+
+@pytest.fixture(scope="module")
+def mast(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The mast's campaign, and a test of a mast with 0.4 kg more at node 518."""
+    folder = tmp_path_factory.mktemp("mast")
+    write_case("mast", folder)
+    head, step, rest = (folder / "mast.inp").read_text().partition("*STEP")
+    lacking = "*ELEMENT, TYPE=MASS, ELSET=CABLE\n999999, 518\n*MASS, ELSET=CABLE\n4.0e-4\n"
+    (folder / "real.inp").write_text(head + lacking + step + rest)
+    given = yaml.safe_load((folder / "mast.yaml").read_text())
+    del given["residuals"]["static"], given["residuals"]["mass_properties"]
+    given["residuals"] |= {"shape_deviation": 0.03, "frequency_deviation": FREQUENCY}
+    given["model"]["deck"] = "real.inp"
+    (folder / "real.yaml").write_text(yaml.safe_dump(given))
+    given |= {"model": given["model"] | {"deck": "mast.inp"}, "test": {"modes": "lab.csv"}}
+    (folder / "mast.yaml").write_text("# ours\n" + yaml.safe_dump(given, sort_keys=False))
+    real = modetune.load(folder / "real.yaml")
+    truth = {"E_mast": 1.1, "rho_head": 1.0, "k_side": 0.8, "k_up": 1.2}
+    seen = real.case.sensors.observe(modetune.modes(real, truth).elastic)
+    modes = noisy(signed(seen.select(range(len(real.test.numbers)))), FREQUENCY, 0.03, 5)
+    write_modes_csv(folder / "lab.csv", range(1, modes.n_modes + 1), modes)
+    return folder
+
+
+@needs_ccx
+def test_from_a_verdict_to_a_proposal_to_a_new_deck_to_a_verdict(mast: Path) -> None:
+    before = (mast / "mast.inp").read_text()
+    first = run_command(mast, "update", "mast.yaml", "--json")
+    assert json.loads(first.stdout)["model_form"]["suspected"] is True
+    given = ["localise", "mast.yaml", "--record", "runs/mast"]
+    done = run_command(mast, *given, "--apply", "1", "--out", "heavier.yaml", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    best = told["proposals"]["changes"][0]
+    assert (best["kind"], best["nodes"]) == ("point mass", [518])
+    assert best["probability"] > 0.99
+    assert told["proposals"]["proposed"] is True
+    assert abs(np.log(best["values"][0] / 4e-4)) < SURE * best["relative_errors"][0]
+    # Only our cards are new, and only name, deck and parameter of the campaign.
+    after = (mast / "heavier_mast.inp").read_text()
+    added = [line for line in after.splitlines() if line not in before.splitlines()]
+    assert after.replace("\n".join(added) + "\n", "") == before
+    assert added[0] == "** added by modetune localise"
+    lines = (mast / "heavier.yaml").read_text().splitlines()
+    assert lines[0] == "# ours"
+    changed = set(lines) ^ set((mast / "mast.yaml").read_text().splitlines())
+    assert len(changed) == 5  # two names, two decks, one parameter
+    then = run_command(mast, "update", "heavier.yaml", "--json")
+    result = json.loads(then.stdout)
+    assert result["model_form"]["suspected"] is False
+    assert result["trust"]["verdict"] == "trusted"
+    found = {item["name"]: item for item in result["parameters"]}
+    for name, factor in {"E_mast": 1.1, "rho_head": 1.0, "k_side": 0.8, "k_up": 1.2}.items():
+        apart = found[name]["updated"] - factor
+        assert abs(apart) < SURE * found[name]["standard_error"]
+
+
+@needs_ccx
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--apply", "1"], "--apply and --out go together"),
+        (["--apply", "1", "--no-changes", "--out", "x.yaml"], "--no-changes leaves out"),
+        (["--apply", "1", "--out", "mast.yaml"], "exists already"),
+        (["--apply", "1", "--out", "elsewhere/x.yaml"], "in the folder of"),
+    ],
+)
+def test_what_cannot_be_applied_is_refused(mast: Path, options: list[str], said: str) -> None:
+    done = run_command(mast, "localise", "mast.yaml", *options)
+    assert (done.returncode, said in done.stderr) == (2, True), done.stderr
