@@ -24,9 +24,12 @@ from modetune.flows.report.chart import AFTER, BEFORE, Axis, Bars, Chart, Panel
 from modetune.flows.report.matplotlib_charts import new_figure, plain
 from modetune.flows.studies.localise.error_maps import ErrorMaps
 from modetune.flows.studies.localise.localisation import Localisation
+from modetune.flows.studies.localise.proposals import Proposal
 
 #: Bars that fit on a page.
 BARS = 30
+#: Proposed changes that are drawn.
+PROPOSED = 10
 COLOURS = "YlOrRd"
 
 
@@ -42,7 +45,19 @@ def localisation_figures(
         if mesh.nodes.size:
             strains = on_surface(found.maps.strains, mesh, surface)
             figures["map"] = surface_figure(title, surface, strains)
+    if found.proposals is not None and found.proposals.found:
+        best = found.proposals.found[:PROPOSED]
+        figures["proposals"] = proposal_chart(title, best)
+        if mesh.nodes.size:
+            figures["places"] = places_figure(title, surface, mesh, best)
     return figures
+
+
+def proposal_chart(title: str, found: Sequence[Proposal]) -> Chart:
+    """What each proposed change removes of the residual, the most probable on top."""
+    values = np.array([100.0 * max(item.removed, 0.0) for item in found])
+    names = [f"{number}: {item.change.label}" for number, item in enumerate(found, start=1)]
+    return _shares(title, (Bars("", values, AFTER),), names, "removes of the residual, %")
 
 
 def group_chart(title: str, maps: ErrorMaps) -> Chart:
@@ -88,33 +103,59 @@ def on_surface(strains: Floats, mesh: Mesh, surface: Surface) -> Floats:
 
 def surface_figure(title: str, surface: Surface, strains: Floats) -> Figure:
     """The model with colours for the strain of the error at its nodes, (n,)."""
-    figure = new_figure(7.2, 5.6)
-    axes: Any = figure.add_subplot(projection="3d")
     shades = strains / (float(strains.max(initial=0.0)) or 1.0)
     paint = ScalarMappable(Normalize(0.0, 1.0), colormaps[COLOURS])
+    figure, axes = _space(title, surface, np.asarray(paint.to_rgba(shades)))
+    figure.colorbar(paint, ax=axes, shrink=0.6, label="strain of the error, of the largest")
+    return figure
+
+
+def places_figure(title: str, surface: Surface, mesh: Mesh, found: Sequence[Proposal]) -> Figure:
+    """The model in grey, and the places of changes by their numbers in the table."""
+    grey = np.tile([0.8, 0.8, 0.8, 0.4], (surface.nodes.size, 1))
+    figure, axes = _space(title, surface, grey)
+    axes.computed_zorder = False  # numbers on the far side are seen too
+    for number, item in reversed(list(enumerate(found, start=1))):
+        places = mesh.coordinates[mesh.rows(np.array(item.change.nodes, dtype=np.int64))]
+        best = number == 1
+        axes.scatter(
+            *places.T,
+            s=60 if best else 24,
+            c=AFTER if best else BEFORE,
+            depthshade=False,
+            zorder=10,
+        )
+        for place in places[:1]:
+            axes.text(*place, f"  {number}", fontsize=12 if best else 9, zorder=11)
+    return figure
+
+
+def _space(title: str, surface: Surface, colours: Floats) -> tuple[Figure, Any]:
+    """A figure of the model. colours: (n, 4), of its nodes."""
+    figure = new_figure(7.2, 5.6)
+    axes: Any = figure.add_subplot(projection="3d")
     if surface.triangles.size:
-        colours = paint.to_rgba(shades[surface.triangles].mean(axis=1))
+        faces = colours[surface.triangles].mean(axis=1)
         axes.add_collection3d(
             Poly3DCollection(
-                surface.coordinates[surface.triangles], facecolors=colours, edgecolors="none"
+                surface.coordinates[surface.triangles], facecolors=faces, edgecolors="none"
             )
         )
     elif surface.edges.size:
-        ends = shades[surface.edges].mean(axis=1)
+        ends = colours[surface.edges].mean(axis=1)
         axes.add_collection3d(
-            Line3DCollection(
-                surface.coordinates[surface.edges], colors=paint.to_rgba(ends), linewidths=4.0
-            )
+            Line3DCollection(surface.coordinates[surface.edges], colors=ends, linewidths=4.0)
         )
     else:
-        axes.scatter(*surface.coordinates.T, c=paint.to_rgba(shades))
+        axes.scatter(*surface.coordinates.T, c=colours)
     low, high = surface.coordinates.min(axis=0), surface.coordinates.max(axis=0)
     # A flat or straight model gets some room, or its axes would have no scale.
     room = np.maximum(high - low, 0.05 * (float((high - low).max()) or 1.0))
     for name, centre, width in zip("xyz", (low + high) / 2.0, room / 2.0, strict=True):
         axes.set(**{f"{name}lim": (centre - width, centre + width)})
-    axes.set_box_aspect(room, zoom=1.3)
+    # The box is drawn with a diagonal of one size: a tall or long one needs all of the picture.
+    longest = float(room.max() / np.linalg.norm(room))
+    axes.set_box_aspect(room, zoom=1.3 * min(1.0, 0.65 / longest))
     axes.set_axis_off()
     axes.set_title(plain(title), fontsize=10)
-    figure.colorbar(paint, ax=axes, shrink=0.6, label="strain of the error, of the largest")
-    return figure
+    return figure, axes

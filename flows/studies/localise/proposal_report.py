@@ -84,12 +84,10 @@ def proposal_table(found: Proposals, mesh: Mesh) -> Table:
 
 def proposal_sentence(found: Proposals) -> str:
     """Return what to conclude."""
-    left = f"chi-square {found.misfit:.4g} of {found.freedom} degrees of freedom"
     if not found.found or not found.proposed:
         return (
-            f"no change is proposed: the parameters leave {left}, and of {found.n_changes} changes "
-            f"none explains enough of it (probability that none is needed: "
-            f"{100.0 * found.nothing:.0f} %)"
+            f"no change is proposed: of {found.n_changes} changes none explains enough of what the "
+            f"parameters leave (probability that none is needed: {100.0 * found.nothing:.0f} %)"
         )
     best = found.found[0]
     values = " and ".join(
@@ -98,7 +96,7 @@ def proposal_sentence(found: Proposals) -> str:
     )
     text = (
         f"proposed: {best.change.label}, {values}; it removes {100.0 * best.removed:.1f} % of "
-        f"what the parameters leave ({left})"
+        "what the parameters leave"
     )
     if best.alike:
         others = "; ".join(best.alike[:NAMED])
