@@ -42,7 +42,7 @@ from modetune.configs.measuring import noisy
 from modetune.core.modes import COMPONENTS, Floats, ModeSet
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.studies.localise.proposals import Search, search_of
+from modetune.flows.studies.localise.proposals import ChangeSearch, search_of
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 
@@ -159,7 +159,7 @@ def campaign_of(structure: Structure, test: ModeSet, folder: Path) -> Campaign:
 
 
 @contextmanager
-def searching(campaign: Campaign, theta: Floats) -> Iterator[tuple[Search, int]]:
+def searching(campaign: Campaign, theta: Floats) -> Iterator[tuple[ChangeSearch, int]]:
     """A search on a campaign's model from these values, and the solver runs that it took."""
     with solving_engine(campaign) as engine:
         evaluator = evaluator_of(campaign, engine, demand=Demand(steps=1, matrices=True))
@@ -237,7 +237,9 @@ def _mass(structure: Structure, truth: dict[str, float], folder: Path) -> float:
     return modetune.modes(campaign_of(structure, asked, folder), truth).mass
 
 
-def _right(change: Any, hidden: Hidden, kind: str, search: Search, exact: Search) -> bool:
+def _right(
+    change: Any, hidden: Hidden, kind: str, search: ChangeSearch, exact: ChangeSearch
+) -> bool:
     if kind == "none":
         return False
     if change.kind == NAMES[kind]:

@@ -52,9 +52,9 @@ AT_ONCE = 64
 class Term:
     """An amplitude times a sum of b b^T.
 
-    amplitude: its position among those of the change. loads: positions of loads of a
-    `LoadedModel`; vectors: (k, n_loads), the b in terms of these. own: (k, n_own), in terms of the
-    unknowns that the change brings.
+    amplitude: its position among those of the change. loads: positions of loads of an
+    `AttachedModel`; vectors: (k, n_loads), the b in terms of these. own: (k, n_own), in terms of
+    the unknowns that the change brings.
     """
 
     matrix: Literal["stiffness", "mass"]
@@ -65,7 +65,7 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
-class LoadedModel:
+class AttachedModel:
     """A reduced model with the static responses to loads at the places of all changes.
 
     whole: on the basis, `size` vectors, and then the response to each load. at: (n_loads, n_all),
@@ -140,7 +140,7 @@ class Released:
         return np.asarray(own - self.tie @ inverse(np.asfortranarray(self.tie.T @ forces)))
 
 
-def loaded_model(
+def attached_model(
     affine: ParameterMatrices,
     model: ReducedModel,
     basis: Floats,
@@ -149,7 +149,7 @@ def loaded_model(
     loads: sparse.csr_array,
     released: Released | None = None,
     at: tuple[Floats, float] | None = None,
-) -> LoadedModel:
+) -> AttachedModel:
     """Return a reduced model with the responses to loads.
 
     model, basis (n, r): as of `reduced_basis.reduce`, made with `inverse`, (K - s M)^-1 of a block
@@ -173,10 +173,10 @@ def loaded_model(
     moved = np.hstack([loads.T @ basis, loads.T @ responses]) * scale
     n_patterns = responses.shape[1] - loads.shape[1]
     own = np.eye(n_patterns, moved.shape[1], moved.shape[1] - n_patterns)
-    return _orthonormal(LoadedModel(whole, basis.shape[1], np.vstack([moved, own])))
+    return _orthonormal(AttachedModel(whole, basis.shape[1], np.vstack([moved, own])))
 
 
-def _orthonormal(loaded: LoadedModel) -> LoadedModel:
+def _orthonormal(loaded: AttachedModel) -> AttachedModel:
     """Return the model with a basis that is orthonormal with respect to K - s M."""
     whole, size = loaded.whole, loaded.size
     energy = whole.base_stiffness - whole.shift * whole.base_mass
@@ -186,7 +186,7 @@ def _orthonormal(loaded: LoadedModel) -> LoadedModel:
         raise ModesError("the basis of a reduced model depends on itself") from error
     turn = np.eye(whole.size)
     turn[:size, :size] = solve_triangular(lower, np.eye(size), lower=True).T
-    return LoadedModel(_turned(whole, turn), size, loaded.at @ turn)
+    return AttachedModel(_turned(whole, turn), size, loaded.at @ turn)
 
 
 def _scaled(model: ReducedModel, scale: Floats) -> ReducedModel:

@@ -18,7 +18,7 @@ from modetune.core.errors import CampaignError, ModelError
 from modetune.core.parameters import Quantity, TargetKind
 from modetune.core.storage.files import writing
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.localise.changes import Change
+from modetune.flows.studies.localise.changes import ModelChange
 from modetune.flows.studies.localise.proposals import Proposal
 
 #: Bounds and deviation of the new parameter, relative to the proposed value.
@@ -85,7 +85,7 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
     return Applied(out, tuple(files.values()), lines)
 
 
-def addition(change: Change, values: list[float]) -> Addition:
+def addition(change: ModelChange, values: list[float]) -> Addition:
     """Return a change as an addition to a deck. Raises ModelError for one that has no cards."""
     if change.kind in ("point mass", "sensor masses"):
         return Addition("mass", change.nodes, 0, tuple(values))

@@ -15,7 +15,7 @@ from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, ParameterSet
-from modetune.core.updating.candidates import LoadedModel, loaded_model
+from modetune.core.updating.candidates import AttachedModel, attached_model
 from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.minima import Misfit, MisfitAt
 from modetune.core.updating.reduced_basis import ReducedModel, reduce, unreduced
@@ -26,7 +26,12 @@ from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.job import Plans
-from modetune.flows.studies.localise.changes import Change, Places, ReleasedGroup, places_of
+from modetune.flows.studies.localise.changes import (
+    LoadPlaces,
+    ModelChange,
+    ReleasedGroup,
+    places_of,
+)
 from modetune.flows.studies.localise.releases import released_model
 from modetune.flows.updating.evaluation import CaseEvaluation, at_sensors, compare, model_state
 from modetune.flows.updating.evaluator import Evaluator
@@ -61,7 +66,7 @@ class CaseModel:
     columns: Integers
     theta: Floats
     known: CaseEvaluation
-    loaded: LoadedModel
+    loaded: AttachedModel
     rows: tuple[Integers, Integers]
     mass: float
     released: tuple[ReleasedGroup, ...]
@@ -92,8 +97,8 @@ def case_model(
     state: CaseState,
     part: CaseEvaluation,
     quantities: Sequence[Parameter],
-    known_places: Places | None,
-) -> tuple[CaseModel, Places]:
+    known_places: LoadPlaces | None,
+) -> tuple[CaseModel, LoadPlaces]:
     own, deck = state.campaign.parameters, state.case.solver.deck
     if quantities:
         deck = deck.with_parameters(tuple(quantities))
@@ -136,7 +141,7 @@ def case_model(
     modes = solved.eigenvalues, solved.shapes
     freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places)
     released, groups = freed or (None, ())
-    loaded = loaded_model(
+    loaded = attached_model(
         affine, model, basis, observer, solver.inverse, loads, released, (written, solved.shift)
     )
     known = CaseModel(
@@ -161,11 +166,11 @@ def _mass(matrices: MatrixResult, deck: Deck) -> float:
         return float(matrices.upper_mass.diagonal()[matrices.components <= 3].sum()) / 3.0
 
 
-class Trial(Misfit):
+class ChangeMisfit(Misfit):
     """The misfit of all measured data with one change, over log parameters and log amplitudes."""
 
     def __init__(
-        self, cases: Sequence[CaseModel], change: Change | None, bounds: ParameterSet
+        self, cases: Sequence[CaseModel], change: ModelChange | None, bounds: ParameterSet
     ) -> None:
         self.cases, self.change = cases, change
         self.n_own = len(bounds)

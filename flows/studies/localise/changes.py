@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from modetune.core.mesh import Mesh, cell_sizes
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter
-from modetune.core.updating.candidates import LoadedModel, Term, spread_nodes
+from modetune.core.updating.candidates import AttachedModel, Term, spread_nodes
 from modetune.flows.campaign.case import Case
 
 Kind = Literal[
@@ -33,7 +33,7 @@ Kind = Literal[
     "rotational spring", "absorber", "sensor masses", "yielding support", "yielding link", "group",
 ]  # fmt: skip
 
-#: Places of masses and of springs to the ground, of absorbers, and pairs of close nodes.
+#: LoadPlaces of masses and of springs to the ground, of absorbers, and pairs of close nodes.
 PLACES, ABSORBERS, PAIRS = 200, 30, 60
 #: Bounds of masses, shares of the model's mass; of inertias, also of a tenth of its size squared.
 MASSES, ABSORBER_MASSES, ARM = (1e-4, 0.3), (1e-3, 0.2), 0.1
@@ -49,7 +49,7 @@ AXES = ("", "x", "y", "z", "about x", "about y", "about z")
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class LoadPlaces:
     """Where changes may be.
 
     loads: nodes and components (n_loads,) of unit forces, as positions of `Term.loads` mean them.
@@ -81,7 +81,7 @@ class ReleasedGroup:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ModelChange:
     """One change of a model.
 
     nodes, component: the place; terms: what it adds, in every case that has the place. lower,
@@ -102,7 +102,7 @@ class Change:
     constrained: bool = False
 
 
-def places_of(case: Case, components: tuple[int, ...]) -> Places:
+def places_of(case: Case, components: tuple[int, ...]) -> LoadPlaces:
     """Return the places of changes in a case. components: which of 1..6 its matrices give."""
     deck = case.solver.deck
     mesh, fixed = deck.mesh(), deck.fixed()
@@ -123,7 +123,7 @@ def places_of(case: Case, components: tuple[int, ...]) -> Places:
     pairs = tuple(pair for pair in close_pairs(mesh) if not held & set(pair))[:PAIRS]
     nodes = tuple(numbers[chosen].tolist())
     every = sorted({*nodes, *sensors, *(node for pair in pairs for node in pair)})
-    return Places(
+    return LoadPlaces(
         np.repeat(np.array(every, dtype=np.int64), len(components)),
         np.tile(np.array(components, dtype=np.int64), len(every)),
         nodes,
@@ -169,13 +169,13 @@ def _parts(mesh: Mesh) -> Integers:
 
 def changes_of(
     case: Case,
-    places: Places,
-    loaded: LoadedModel,
+    places: LoadPlaces,
+    loaded: AttachedModel,
     usable: Floats,
     mass: float,
     groups: Sequence[tuple[Parameter, int]],
     released: Sequence[ReleasedGroup] = (),
-) -> Iterator[Change]:
+) -> Iterator[ModelChange]:
     """Yield all changes of a case.
 
     usable: (n_loads,), whether a load's place can move. mass: of the model. groups: quantities and
@@ -200,20 +200,20 @@ def changes_of(
     for item, column in groups:
         bounds = np.array([FACTORS[0]]), np.array([FACTORS[1]])
         label = f"{item.quantity.replace('_', ' ')} of {', '.join(item.targets)}"
-        yield Change("group", label, (), 0, (), *bounds, column, item)
+        yield ModelChange("group", label, (), 0, (), *bounds, column, item)
 
 
 def _masses(
-    places: Places, row: dict[tuple[int, int], int], mass: float, size: float
-) -> Iterator[Change]:
+    places: LoadPlaces, row: dict[tuple[int, int], int], mass: float, size: float
+) -> Iterator[ModelChange]:
     def at(
         kind: Kind, label: str, nodes: tuple[int, ...], axes: range, unit: float
-    ) -> Iterator[Change]:
+    ) -> Iterator[ModelChange]:
         loads = tuple(row[n, c] for n in nodes for c in axes if (n, c) in row)
         if loads:
             term = Term("mass", 0, loads, np.eye(len(loads)))
             lower, upper = (np.array([share * unit]) for share in MASSES)
-            yield Change(kind, label, nodes, 0, (term,), lower, upper)
+            yield ModelChange(kind, label, nodes, 0, (term,), lower, upper)
 
     for node in places.nodes:
         yield from at("point mass", f"point mass at node {node}", (node,), range(1, 4), mass)
@@ -226,9 +226,11 @@ def _masses(
 
 
 def _springs(
-    places: Places, row: dict[tuple[int, int], int], loaded: LoadedModel
-) -> Iterator[Change]:
-    def between(kind: Kind, label: str, nodes: tuple[int, ...], component: int) -> Iterator[Change]:
+    places: LoadPlaces, row: dict[tuple[int, int], int], loaded: AttachedModel
+) -> Iterator[ModelChange]:
+    def between(
+        kind: Kind, label: str, nodes: tuple[int, ...], component: int
+    ) -> Iterator[ModelChange]:
         loads = tuple(row[n, component] for n in nodes if (n, component) in row)
         if len(loads) < len(nodes):
             return
@@ -237,7 +239,7 @@ def _springs(
         if flexibility > 0.0:
             term = Term("stiffness", 0, loads, weights[None])
             lower, upper = (np.array([share / flexibility]) for share in STIFFNESSES)
-            yield Change(kind, label, nodes, component, (term,), lower, upper)
+            yield ModelChange(kind, label, nodes, component, (term,), lower, upper)
 
     for component in places.components:
         turning, axis = component > 3, AXES[component]
@@ -251,8 +253,8 @@ def _springs(
 
 
 def _yielding(
-    released: Sequence[ReleasedGroup], n_loads: int, loaded: LoadedModel
-) -> Iterator[Change]:
+    released: Sequence[ReleasedGroup], n_loads: int, loaded: AttachedModel
+) -> Iterator[ModelChange]:
     whole = loaded.whole
     resists = np.diag(whole.base_stiffness - whole.shift * whole.base_mass)[loaded.size + n_loads :]
     largest = {
@@ -268,15 +270,15 @@ def _yielding(
         term = Term("stiffness", 0, loads, np.eye(len(loads)))
         lower, upper = (np.array([share * stiffness]) for share in YIELDING)
         kind: Kind = "yielding support" if group.support else "yielding link"
-        yield Change(
+        yield ModelChange(
             kind, f"{group.label} yields", group.nodes, group.component, (term,), lower, upper,
             constrained=True,
         )  # fmt: skip
 
 
 def _absorbers(
-    places: Places, row: dict[tuple[int, int], int], mass: float, band: tuple[float, float]
-) -> Iterator[Change]:
+    places: LoadPlaces, row: dict[tuple[int, int], int], mass: float, band: tuple[float, float]
+) -> Iterator[ModelChange]:
     for node in places.absorbers:
         for component in range(1, 4):
             if (node, component) not in row:
@@ -287,7 +289,7 @@ def _absorbers(
             masses = [share * mass for share in ABSORBER_MASSES]
             stiff = [m * (2.0 * np.pi * f) ** 2 for m, f in zip(masses, band, strict=True)]
             label = f"absorber at node {node}, {AXES[component]}"
-            yield Change(
+            yield ModelChange(
                 "absorber", label, (node,), component, (own, spring),
                 np.array([masses[0], stiff[0]]), np.array([masses[1], stiff[1]]),
             )  # fmt: skip

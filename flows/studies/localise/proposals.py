@@ -25,8 +25,8 @@ from modetune.core.updating.evidence import log_evidence, probabilities
 from modetune.core.updating.minima import polished
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.init.candidate_parameters import candidates
-from modetune.flows.studies.localise.case_model import CaseModel, Trial, case_model
-from modetune.flows.studies.localise.changes import Change, changes_of
+from modetune.flows.studies.localise.case_model import CaseModel, ChangeMisfit, case_model
+from modetune.flows.studies.localise.changes import ModelChange, changes_of
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.mode_source import CaseState
@@ -60,7 +60,7 @@ class Proposal:
     change, of all changes and none. alike: labels of others that cannot be told apart from it.
     """
 
-    change: Change
+    change: ModelChange
     amplitudes: Floats
     errors: Floats
     theta: Floats
@@ -109,7 +109,7 @@ def search_of(
     evaluator: Evaluator,
     evaluation: Evaluation,
     tell: Callable[[str], None] = lambda text: None,
-) -> Search:
+) -> ChangeSearch:
     """Return the search at an evaluated point, with its changes and models. Raises as above."""
     groups = _groups(evaluator.used[0])
     cases: list[CaseModel] = []
@@ -132,7 +132,7 @@ def search_of(
     found = list(
         changes_of(first.case, places, first.loaded, usable, first.mass, named, first.released)
     )
-    return Search(campaign, cases, found, evaluation.theta)
+    return ChangeSearch(campaign, cases, found, evaluation.theta)
 
 
 def _groups(state: CaseState) -> tuple[Parameter, ...]:
@@ -152,7 +152,7 @@ def _groups(state: CaseState) -> tuple[Parameter, ...]:
     )[:GROUPS]
 
 
-class Search:
+class ChangeSearch:
     """The search for the best changes from a state theta (n_parameters,).
 
     misfit: the chi-square that the parameters alone leave at their best, `place` (logarithms).
@@ -162,7 +162,7 @@ class Search:
         self,
         campaign: Campaign,
         cases: Sequence[CaseModel],
-        changes: Sequence[Change],
+        changes: Sequence[ModelChange],
         theta: Floats,
     ) -> None:
         self.cases, self.parameters, self.changes = cases, campaign.parameters, changes
@@ -180,15 +180,15 @@ class Search:
         prior = np.diag(np.sqrt(12.0) / np.minimum(self.width, 1e3))
         self._answers = np.linalg.qr(np.vstack([self.slopes, prior]))[0]
 
-    def trial(self, change: Change | None) -> Trial:
-        return Trial(self.cases, change, self.parameters)
+    def trial(self, change: ModelChange | None) -> ChangeMisfit:
+        return ChangeMisfit(self.cases, change, self.parameters)
 
     def free(self, residual: Floats) -> Floats:
         """Return what the parameters leave of a residual by their linear answer."""
         whole = np.concatenate([residual, np.zeros(self.place.size)])
         return np.asarray(whole - self._answers @ (self._answers.T @ whole))
 
-    def screened(self, change: Change) -> tuple[float, Floats]:
+    def screened(self, change: ModelChange) -> tuple[float, Floats]:
         """Return about the least misfit with a change, and log amplitudes for it."""
         trial, best = self.trial(change), (np.inf, _grid(change)[0])
         tried: list[tuple[float, Floats]] = []
@@ -213,7 +213,9 @@ class Search:
             best = min(best, value(there), key=lambda item: item[0])
         return best
 
-    def refined(self, change: Change, amplitudes: Floats) -> tuple[Floats, float, Floats] | None:
+    def refined(
+        self, change: ModelChange, amplitudes: Floats
+    ) -> tuple[Floats, float, Floats] | None:
         """Return the best point of a change, its misfit, and half of the misfit's Hessian."""
         trial = self.trial(change)
         place, misfit = polished(trial, np.concatenate([self.place, amplitudes]))
@@ -257,7 +259,7 @@ class Search:
 
     def _proposals(
         self,
-        changes: Sequence[Change],
+        changes: Sequence[ModelChange],
         refined: dict[int, tuple[Floats, float, Floats]],
         logs: Floats,
         chances: Floats,
@@ -302,7 +304,7 @@ def _between(tried: Sequence[tuple[float, Floats]]) -> float | None:
     return found
 
 
-def _chosen(changes: Sequence[Change], order: Sequence[int]) -> list[int]:
+def _chosen(changes: Sequence[ModelChange], order: Sequence[int]) -> list[int]:
     """Return which changes to refine, in their order: the best, and the best few of each kind."""
     seen, found = Counter[str](), []
     for place, n in enumerate(order):
@@ -312,7 +314,7 @@ def _chosen(changes: Sequence[Change], order: Sequence[int]) -> list[int]:
     return found
 
 
-def _grid(change: Change) -> list[Floats]:
+def _grid(change: ModelChange) -> list[Floats]:
     """Return log amplitudes (n_amplitudes,) at which a change is tried, ascending."""
     lower, upper = np.log(change.lower), np.log(change.upper)
     if lower.size == 1:

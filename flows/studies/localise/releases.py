@@ -20,7 +20,7 @@ from modetune.core.parameters import ParameterSet
 from modetune.core.updating.candidates import Released
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.job import Plans
-from modetune.flows.studies.localise.changes import AXES, Places, ReleasedGroup
+from modetune.flows.studies.localise.changes import AXES, LoadPlaces, ReleasedGroup
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import CaseState
@@ -44,7 +44,7 @@ def released_model(
     theta: Floats,
     base: MatrixResult,
     modes: tuple[Floats, Floats],
-    places: Places,
+    places: LoadPlaces,
 ) -> tuple[Released, tuple[ReleasedGroup, ...]] | None:
     """Return a case's model without supports and links, None where it has none or cannot be had.
 

@@ -13,10 +13,10 @@ from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.modes import Floats
 from modetune.core.updating.candidates import (
-    LoadedModel,
+    AttachedModel,
     Released,
     Term,
-    loaded_model,
+    attached_model,
     spread_nodes,
 )
 from modetune.core.updating.parameter_matrices import ParameterMatrices, Powers, parameter_matrices
@@ -25,7 +25,7 @@ from modetune.core.updating.reduced_basis import reduce
 N, N_MODES = 60, 12  # masses of a chain, and modes that the basis has
 COMPARED = 5
 #: A mode of the reduced model errs by the square of what static responses lack of its shape: for
-#: modes below a third of the basis' last frequency about (1/3)^4 of a residual that is small itself.
+#: modes below a third of the basis' last frequency about (1/3)^4 of a small residual.
 CLOSE = 2e-5
 
 
@@ -48,7 +48,7 @@ def matrices_of(make: Callable[[float], tuple[Floats, Floats]]) -> ParameterMatr
     return parameter_matrices(given, np.ones(1), [part], [])
 
 
-def loaded(places: list[int], released: Released | None = None) -> LoadedModel:
+def loaded(places: list[int], released: Released | None = None) -> AttachedModel:
     """The chain on a reduced basis, with unit loads at these unknowns."""
     affine = matrices_of(lambda scale: chain(scale=scale))
     stiffness, mass = chain()
@@ -60,7 +60,7 @@ def loaded(places: list[int], released: Released | None = None) -> LoadedModel:
         affine, np.ones(1), eigenvalues, shapes, inverse, np.arange(COMPARED), 0, observer
     )
     loads = sparse.csr_array(np.eye(N)[:, places])
-    return loaded_model(
+    return attached_model(
         affine, model, basis, observer, inverse, loads, released, (np.ones(1), shift)
     )
 
@@ -70,7 +70,7 @@ def full_hz(stiffness: Floats, mass: Floats) -> Floats:
     return np.sqrt(values) / (2.0 * np.pi)
 
 
-def reduced_hz(model: LoadedModel, terms: list[Term], theta: list[float]) -> Floats:
+def reduced_hz(model: AttachedModel, terms: list[Term], theta: list[float]) -> Floats:
     eigenvalues, _ = model.changed(terms).modes(np.array(theta), COMPARED)
     return np.sqrt(eigenvalues) / (2.0 * np.pi)
 

@@ -21,7 +21,7 @@ import modetune
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
-from modetune.flows.studies.localise.proposals import Search
+from modetune.flows.studies.localise.proposals import ChangeSearch
 from tests.command_line import run_command
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
@@ -37,7 +37,7 @@ SURE = 4.0
 @contextmanager
 def searched(
     structure: Structure, real: Structure, truth: dict[str, float], folder: Path, noise: int = 1
-) -> Iterator[Search]:
+) -> Iterator[ChangeSearch]:
     """A search on a structure whose test is of another one; noise: seed, 0 for none."""
     (folder / "true").mkdir(parents=True)
     modes, _ = truth_of(real, truth, folder / "true")
