@@ -67,7 +67,7 @@ class Mesh:
     nodes: (n_nodes,), numbers, ascending. coordinates: (n_nodes, 3), global axes, the deck's
     length. cells: the elements, a block a shape. frames: of nodes whose results are in axes of
     their own, these axes as rows in the global ones (3, 3). names: what the deck calls nodes whose
-    numbers are not its own.
+    numbers are not its own. bars: elements of kind "line" whose ends pass on rotations.
     Raises ModelError where arrays do not fit together.
     """
 
@@ -76,6 +76,7 @@ class Mesh:
     cells: tuple[Cells, ...]
     frames: dict[int, Floats] = field(default_factory=dict)
     names: Mapping[int, str] = field(default_factory=dict)
+    bars: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         if self.coordinates.shape != (self.nodes.size, 3):

@@ -213,9 +213,14 @@ class SensorSection(Section):
     tolerance: Annotated[Finite, Field(gt=0.0)] | None = None
     """Maximum distance of a sensor from its node, in the model's length unit; without it 2 % of the
     diagonal of the model's bounding box, or half the mean element edge if that is larger."""
+    attach: bool | None = None
+    """Whether sensors without a node near them are attached rigidly to the nearest bar or beam:
+    `true` at any distance, `false` never. Without this key they are in a model of mostly bars and
+    beams, up to 15 % of the diagonal of its bounding box. The solver's results must have
+    rotations."""
     unmapped: Literal["refuse", "leave_out"] = "refuse"
-    """What to do with sensors that have no node within the tolerance, or whose motion is missing
-    from the model's results."""
+    """What to do with sensors that have no node within the tolerance and no bar to be attached to,
+    or whose motion is missing from the model's results."""
     reverse: tuple[SensorName, ...] = ()
     """Sensors with the wrong sign, `[202.x]`; a node alone means all its directions. Applied last,
     after `exchange`."""
