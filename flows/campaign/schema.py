@@ -51,7 +51,7 @@ SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
 BY_NAME = ("command",)
 NastranDialect = Literal["msc", "nx"]
 Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
-ModelCheck = Literal["units", "size", "mass"]
+ModelCheck = Literal["units", "size", "mass", "mesh"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
@@ -298,7 +298,7 @@ class ModelSection(Section):
     energy. modetune refuses a number that the strain energies contradict."""
     checks: tuple[ModelCheck, ...] = ()
     """Doubts about the model that you have examined and accept: `units`, from the speed of sound in
-    most of its mass; `size`; `mass`."""
+    most of its mass; `size`; `mass`; `mesh`, where ten-node tetrahedra are large for a mode."""
 
     @model_validator(mode="after")
     def _described(self) -> ModelSection:
