@@ -15,6 +15,7 @@ from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, re
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
+    absent_members,
     absent_sets,
     chosen_statements,
     read_case_control,
@@ -133,6 +134,9 @@ class NastranModel(Deck):
         texts += [
             f"`{text}` of the case control, a set that the deck does not have"
             for text in absent_sets(deck, case)
+        ]
+        texts += [
+            f"sets of {text}, which the deck does not have" for text in absent_members(deck, case)
         ]
         if texts:
             logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
