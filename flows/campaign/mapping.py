@@ -571,7 +571,13 @@ class _Mapper:
             ways += ["`match` assigns nodes" if self.settings.fits else fit]
             ways += ["`tolerance` allows larger distances"]
         ways += ["`unmapped: leave_out` drops them"] if remain else ["no other sensor remains"]
-        raise CampaignError([f"{text}. In test.sensors: {', '.join(ways)}", *notes])
+        remedy = f"In test.sensors: {', '.join(ways)}"
+        if self.settings.attach is not False and _is_stick(self.mesh) and not self._can_attach:
+            remedy += (
+                "; results of this solver have no rotations, with which Nastran and MYSTRAN attach "
+                "sensors to bars"
+            )
+        raise CampaignError([f"{text}. {remedy}", *notes])
 
     def _mapping(
         self,

@@ -18,6 +18,7 @@ import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from tests.adapters.solved import needs_mystran
+from tests.command_line import run_command
 
 Place = tuple[float, float, float]
 
@@ -257,3 +258,14 @@ def test_an_update_finds_stiffness_from_sensors_off_the_axis(tmp_path: Path) -> 
     found = modetune.update(path, tmp_path / "runs")
     # The test's E is 7e10 and the deck's 6.3e10.
     assert found.record.updated[0] == pytest.approx(7.0 / 6.3, rel=1e-4)
+
+
+@needs_mystran
+def test_a_solver_without_rotations_says_who_has_them(tmp_path: Path) -> None:
+    path = write_campaign(tmp_path, glider())
+    told = run_command(tmp_path, "sensors", "campaign.yaml", "--set", "model.solver=calculix")
+    assert told.returncode == 2
+    assert "results of this solver have no rotations" in " ".join(told.stderr.split())
+    told = run_command(tmp_path, "sensors", path.name)
+    assert told.returncode == 0
+    assert "66 sensors: 66 good, 0 doubtful, 0 left out" in told.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,9 @@ from tests.adapters.test_added_matrices import BAR, HEAD, bars, cbars, dmig, lin
 from tests.command_line import run_command
 
 
-def write_test(folder: Path, hz: Floats, shapes: Floats, places: list[tuple[int, ...]]) -> None:
+def write_test(
+    folder: Path, hz: Floats, shapes: Floats, places: Sequence[tuple[float, ...]]
+) -> None:
     """Modes and their points; shapes: (n_places, n_modes) along z; places: node, x, y, z."""
     rows = [f"mode,frequency_hz,{','.join(f'{place[0]}.z' for place in places)}"]
     rows += [
