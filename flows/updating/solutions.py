@@ -219,21 +219,24 @@ class StoredModel:
         """Return the permitted size of large arrays in memory, bytes."""
         return IN_MEMORY * self.source.engine.memory_bytes
 
+    @cached_property
+    def _turning(self) -> Integers:
+        """Return the nodes whose rotations sensors see."""
+        return np.array(self.campaign.case.rotation_nodes, dtype=np.int64)
+
     def freedoms(self, nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
         """Return the degrees of freedom of a modal result at nodes, and their components.
 
         Node by node x, y, z, and the rotations of nodes where sensors see these.
         """
-        turning = set(self.campaign.case.rotation_nodes)
-        found = [
-            (node, axis) for node in sorted(nodes) for axis in range(1, 7 if node in turning else 4)
-        ]
-        named = np.array(found, dtype=np.int64).reshape(-1, 2)
-        return named[:, 0], named[:, 1]
+        ordered = np.array(sorted(nodes), dtype=np.int64)
+        counts = np.where(np.isin(ordered, self._turning), 6, 3)
+        starts = np.repeat(np.cumsum(counts) - counts, counts)
+        return np.repeat(ordered, counts), np.arange(starts.size) - starts + 1
 
     def named(self, nodes: tuple[int, ...]) -> dict[str, Json]:
         """Return what of a content key says at which degrees of freedom results are."""
-        turning = sorted({*nodes} & {*self.campaign.case.rotation_nodes})
+        turning = sorted({*nodes} & {*self._turning.tolist()})
         return {"nodes": list(nodes), **({"rotations": turning} if turning else {})}
 
     def in_files(self, put: Callable[[Path], T]) -> T:
