@@ -46,6 +46,8 @@ NOTHING_FIXED: Fixed = {}
 #: spread those that are no boxes fill.
 DIMENSIONS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
 FILLED = {"triangle": 0.65, "tetra": 1.0 / 3.0}
+#: Tetrahedra that move less than this part of a mode's largest motion say little about its mesh.
+AT_REST = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ class Mesh:
     nodes: (n_nodes,), numbers, ascending. coordinates: (n_nodes, 3), global axes, the deck's
     length. cells: the elements, a block a shape. frames: of nodes whose results are in axes of
     their own, these axes as rows in the global ones (3, 3). names: what the deck calls nodes whose
-    numbers are not its own.
+    numbers are not its own. bars: elements of kind "line" whose ends pass on rotations.
     Raises ModelError where arrays do not fit together.
     """
 
@@ -76,6 +78,7 @@ class Mesh:
     cells: tuple[Cells, ...]
     frames: dict[int, Floats] = field(default_factory=dict)
     names: Mapping[int, str] = field(default_factory=dict)
+    bars: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         if self.coordinates.shape != (self.nodes.size, 3):
@@ -109,6 +112,33 @@ def global_shapes(mesh: Mesh, modes: ModeSet) -> Floats:
         row = int(mesh.rows(np.array([node]))[0])
         shapes[:, row] = shapes[:, row] @ axes  # rows of `axes` are the node's own directions
     return shapes
+
+
+def edge_differences(mesh: Mesh, modes: ModeSet, kind: CellKind) -> Floats | None:
+    """Return how unlike the motions of neighbouring corners of tetrahedra are in each mode.
+
+    The root mean square difference over edges as a part of the root mean square motion of their
+    ends: about k h for edges of length h in waves with the wave number k. Corners that move less
+    than AT_REST of the mode's largest motion count as moving that much. kind: of the tetrahedra.
+    None where there are none, or where the modes show less than half of their edges.
+    """
+    corners = [cells.nodes[:, :4] for cells in mesh.cells if cells.kind == kind]
+    if not corners:
+        return None
+    sides = [corner[:, pair] for corner in corners for pair in combinations(range(4), 2)]
+    edges = np.unique(np.sort(np.concatenate(sides), axis=1), axis=0)
+    seen = modes.nodes[modes.components <= 3]
+    shown = edges[np.isin(edges, seen).all(axis=1)]
+    if 2 * shown.shape[0] < edges.shape[0]:
+        return None
+    shapes = global_shapes(mesh, modes)
+    ends = mesh.rows(shown)
+    apart = np.sum((shapes[:, ends[:, 0]] - shapes[:, ends[:, 1]]) ** 2, axis=2).mean(axis=1)
+    squares = np.sum(shapes**2, axis=2)
+    motion = squares[:, np.unique(ends)].mean(axis=1)
+    least = AT_REST**2 * squares.max(axis=1, initial=0.0)
+    whole = np.maximum(motion, least)
+    return np.asarray(np.sqrt(apart / np.where(whole > 0.0, whole, np.inf)))
 
 
 def cell_sizes(mesh: Mesh) -> dict[int, float]:

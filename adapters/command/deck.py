@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,9 @@ def read_deck(
                     spots[0].number,
                 )
     mesh = _read_nodes(deck.parent / settings.nodes, settings.metres)
+    if set(settings.components) == set(range(1, 7)):
+        lines = [item.elements.tolist() for item in mesh.cells if item.kind == "line"]
+        mesh = replace(mesh, bars=frozenset(chain(*lines)))
     return CommandDeck(template, mesh, settings.components, parameters)
 
 

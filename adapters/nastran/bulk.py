@@ -44,6 +44,14 @@ OBJECTIONS = (
     ArithmeticError,
     UserWarning,
 )
+#: Fields of real numbers in which whole ones occur in decks that Nastran runs: MYSTRAN stops at
+#: them, and pyNastran warns or takes an orientation vector for a grid point.
+REALS: dict[str, tuple[int, ...]] = {
+    "MAT1": tuple(range(2, 12)), "PSHELL": (3, 5, 7, 8, 9, 10), "CQUAD4": (8, 11, 12, 13, 14),
+    "CTRIA3": (7, 11, 12, 13), "CBAR": (5, 6, 7), "CBEAM": (5, 6, 7),
+}  # fmt: skip
+REAL_PARAMETERS = frozenset(("WTMASS", "K6ROT", "MAXRATIO", "EPZERO"))
+WHOLE = re.compile(r"[+-]?\d+")
 #: Cards whose columns are not plain fields: pyNastran splits their lines itself.
 BY_LINES = frozenset((
     "DEQATN", "PBRSECT", "PBMSECT", "GMCURV", "GMSURF", "OUTPUT", "ADAPT", "MONDSP1", "MONPNT1",
@@ -237,11 +245,28 @@ def add_card(bulk: Bulk, deck: NastranDeck, card: NastranCard, default: NastranC
 
 
 def filled(card: NastranCard, default: NastranCard | None) -> list[str]:
-    """The data fields of a card; blank ones are the default card's, a GRDSET's for a GRID."""
+    """The data fields of a card; blank ones are the default card's, a GRDSET's for a GRID.
+
+    Whole numbers in fields of real ones have a point.
+    """
     if default is None:
-        return [card.text(field) for field in range(1, len(card.fields))]
+        return with_points(card.name, [card.text(field) for field in range(1, len(card.fields))])
     count = max(len(card.fields), len(default.fields))
-    return [card.text(field) or default.text(field) for field in range(1, count)]
+    texts = [card.text(field) or default.text(field) for field in range(1, count)]
+    return with_points(card.name, texts)
+
+
+def with_points(name: str, texts: list[str]) -> list[str]:
+    """Return the data fields of a card with points behind whole numbers where real ones belong."""
+    real = REALS.get(name, ())
+    if name == "PARAM" and texts and texts[0].upper() in REAL_PARAMETERS:
+        real = (2,)
+    if name in ("CBAR", "CBEAM") and not any(texts[5:7]):  # a grid point gives the orientation
+        real = ()
+    return [
+        f"{text}." if place in real and WHOLE.fullmatch(text) else text
+        for place, text in enumerate(texts, 1)
+    ]
 
 
 def _check_axes(deck: NastranDeck, card: NastranCard) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from modetune.adapters.nastran.deck import NastranDeck
-from modetune.adapters.nastran.fields import read_number
+from modetune.adapters.nastran.fields import NastranCard, read_number
 from modetune.adapters.nastran.harmless import CHANGING, changing_parameter
 from modetune.adapters.solver import ModalCase
 from modetune.core.errors import ModelError
@@ -47,8 +47,10 @@ PARTS = ("SEBULK", "SELOC", "CSUPER", "RELEASE")
 DMAP = frozenset({"COMPILE", "ALTER", "ENDALTER", "LINK", "MALTER", "RESTART", "RFALTER"})
 #: Where changes to the solution sequence begin, which Nastran's own jobs carry.
 ALTERS = frozenset({"COMPILE", "MALTER"})
-#: Cards of constraint sets, by the command that selects one.
-CONSTRAINTS = {"SPC": ("SPC", "SPC1", "SPCADD"), "MPC": ("MPC", "MPCADD")}
+#: Cards of constraint sets, and of their sums, by the command that selects one.
+CONSTRAINTS = {"SPC": (("SPC", "SPC1"), "SPCADD"), "MPC": (("MPC",), "MPCADD")}
+#: Statements that may follow a COMPILE that compiles the solution sequence as it is.
+PLAIN = frozenset({"SOL", "TIME", "DIAG", "GEOMCHECK", "ECHOON", "ECHOOFF", "COMPILE", "CEND"})
 #: Field of the lower frequency of a METHOD's card.
 LOWEST = {"EIGRL": 2, "EIGR": 3}
 #: Files that an ASSIGN may bring in; the others are for output.
@@ -178,7 +180,11 @@ def system_statements(deck: NastranDeck, native: bool = True) -> list[str]:
     kept, problems = [], list[str]()
     carried = alters(deck) if native else []
     rest = [position for position in deck.executive if position not in carried]
-    for statement in read_statements(deck, rest):
+    statements = list(read_statements(deck, rest))
+    for place, statement in enumerate(statements):
+        after = statements[place + 1].name if place + 1 < len(statements) else "CEND"
+        if statement.name == "COMPILE" and after in PLAIN:
+            continue  # nothing is altered
         if statement.name in SYSTEM:
             kept.append(statement.text)
         elif statement.name in DMAP:
@@ -251,13 +257,39 @@ def read_case_control(deck: NastranDeck) -> CaseControl:
 
 
 def absent_sets(deck: NastranDeck, case: CaseControl) -> list[str]:
-    """Return the selections of SPC and MPC sets that the deck does not have."""
+    """Return the selections of SPC and MPC sets of which the deck has nothing."""
     return [
         f"{name} = {number}"
-        for name in ("SPC", "MPC")
+        for name, (_, sums) in CONSTRAINTS.items()
         if (number := case.selected(name))
-        and str(number) not in {card.text(1) for card in deck.named(*CONSTRAINTS[name])}
+        and str(number) not in _own_sets(deck, name)
+        and not any(
+            members_of(deck, card) for card in deck.named(sums) if card.text(1) == str(number)
+        )
     ]
+
+
+def absent_members(deck: NastranDeck, case: CaseControl) -> list[str]:
+    """Return what a selected SPCADD or MPCADD adds and the deck does not have, by `SPCADD 3: 9`."""
+    found = []
+    for name, (_, sums) in CONSTRAINTS.items():
+        for card in deck.named(sums):
+            if card.text(1) == str(case.selected(name)):
+                named = [text for place in range(2, len(card.fields)) if (text := card.text(place))]
+                lost = [text for text in named if text not in members_of(deck, card)]
+                found += [f"{sums} {card.text(1)}: {', '.join(lost)}"] if lost else []
+    return found
+
+
+def members_of(deck: NastranDeck, card: NastranCard) -> list[str]:
+    """Return the sets of a SPCADD or MPCADD that the deck has."""
+    own = _own_sets(deck, card.name.removesuffix("ADD"))
+    return [text for place in range(2, len(card.fields)) if (text := card.text(place)) in own]
+
+
+def _own_sets(deck: NastranDeck, name: str) -> set[str]:
+    """Return the numbers of the SPC or MPC sets of which the deck has cards, without sums."""
+    return {card.text(1) for card in deck.named(*CONSTRAINTS[name][0])}
 
 
 def _whole(deck: NastranDeck, statement: Statement) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cache, partial
 
+from modetune.adapters.nastran.bulk import with_points
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
@@ -87,7 +88,10 @@ def job_text(
         *_requests(model, case, analysis, dialect),
         "BEGIN BULK",
         *_parameters(analysis),
-        *(f"PARAM,{name},{value}" for name, value in case.parameters),
+        *(
+            ",".join(["PARAM", *(with_points("PARAM", [*one]) if own else one)])
+            for one in case.parameters
+        ),
         _eigrl(model, case.method or 1, n_modes, dialect),
     ]
     if isinstance(analysis, SensitivityAnalysis):

@@ -70,6 +70,8 @@ LINKS = frozenset((
     "CBAR", "CBEAM", "CBEND", "CROD", "CONROD", "CTUBE", "CBUSH", "CBUSH1D", "CVISC", "CGAP",
     "CELAS1", "CELAS2", "CDAMP1", "CDAMP2",
 ))  # fmt: skip
+#: Straight links with bending, whose ends pass on rotations.
+BARS = frozenset(("CBAR", "CBEAM"))
 #: Masses at one grid point, or between two.
 MASSES = frozenset(("CONM1", "CONM2", "CMASS1", "CMASS2"))
 #: Positions of VTK's nodes in Nastran's order, for the shapes in which the two differ.
@@ -96,6 +98,7 @@ def read_geometry(bulk: Bulk) -> Mesh:
         coordinates=np.array([_place(bulk.nodes[n]) for n in numbers.tolist()]).reshape(-1, 3),
         cells=tuple(_cells(kind, blocks[kind]) for kind in sorted(blocks)),
         frames=output_frames(bulk),
+        bars=frozenset(number for number, item in bulk.elements.items() if item.type in BARS),
     )
 
 

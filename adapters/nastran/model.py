@@ -17,6 +17,7 @@ from modetune.adapters.nastran.bulk import Bulk, Objection, filled, has_mass, re
 from modetune.adapters.nastran.case_control import (
     OWN_PARAMETERS,
     CaseControl,
+    absent_members,
     absent_sets,
     chosen_statements,
     read_case_control,
@@ -37,7 +38,7 @@ from modetune.adapters.nastran.harmless import (
 )
 from modetune.adapters.nastran.loads import load_case
 from modetune.adapters.nastran.masses import lumped_properties
-from modetune.adapters.nastran.mesh import read_geometry
+from modetune.adapters.nastran.mesh import BARS, read_geometry
 from modetune.adapters.nastran.places import (
     ValuePlace,
     affected_elements_of,
@@ -141,6 +142,9 @@ class NastranModel(Deck):
             f"`{text}` of the case control, a set that the deck does not have"
             for text in absent_sets(deck, case)
         ]
+        texts += [
+            f"sets of {text}, which the deck does not have" for text in absent_members(deck, case)
+        ]
         if texts:
             logger.warning("%s: left out of jobs on this solver: %s", deck.file, ", ".join(texts))
 
@@ -219,6 +223,25 @@ class NastranModel(Deck):
             density = (getattr(material, "rho", None) or 0.0) * self.wtmass
             if modulus and modulus > 0.0 and density >= 0.0:
                 found[f"{material.type} {number}"] = float(modulus), float(density)
+        return found
+
+    def largest_eigenvalue(self) -> float:
+        """Return the approximate largest eigenvalue, also of bars without density.
+
+        Where these join point masses it is that of a bar with two of the lightest, 2 E A / (l m).
+        """
+        masses = [item.mass for item in self.bulk.masses.values() if item.type == "CONM2"]
+        lightest = min((mass for mass in masses if mass > 0.0), default=0.0) * self.wtmass
+        found = super().largest_eigenvalue()
+        for element in self.bulk.elements.values() if lightest > 0.0 else ():
+            section = getattr(element, "pid_ref", None)
+            material = getattr(section, "mid_ref", None)
+            if element.type not in BARS or getattr(material, "rho", None) or section is None:
+                continue
+            young = getattr(material, "e", None) or 0.0
+            length = element.Length()
+            if length > 0.0:
+                found = max(found, 2.0 * young * section.Area() / (length * lightest))
         return found
 
     def stated_units(self) -> StatedUnits | None:

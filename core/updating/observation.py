@@ -100,8 +100,5 @@ def sensor_observation(
     sensors: SensorMap, observation: Callable[[Integers, Integers], Observation]
 ) -> Observation:
     """What a test's sensors see. observation: of motions of nodes, by numbers and components."""
-    axes = np.arange(1, 4) + 3 * sensors.turns[:, None]
-    looked = np.abs(sensors.directions) > 1e-6
-    nodes = np.broadcast_to(sensors.model_nodes[:, None], axes.shape)
-    nodes, components = np.unique(np.stack([nodes[looked], axes[looked]]), axis=1)
+    nodes, components = sensors.seen_components()
     return observation(nodes, components).turned(sensors.matrix(nodes, components))

@@ -92,8 +92,14 @@ class Case:
     def result_nodes(self) -> tuple[int, ...]:
         """Nodes where the modes of the whole model are needed: for pairing, for pictures, and to
         choose among poses of the test that fit equally well."""
-        poses = (item.sensors.model_nodes.tolist() for item in self.mapping.others)
+        poses = (item.sensors.seen_nodes.tolist() for item in self.mapping.others)
         return tuple(sorted({*self.nodes, *self.surface.nodes.tolist(), *chain(*poses)}))
+
+    @property
+    def rotation_nodes(self) -> tuple[int, ...]:
+        """Nodes whose rotations are needed: of sensors of rotations and of those off an axis."""
+        seen = [item.sensors.seen_components() for item in (self.mapping, *self.mapping.others)]
+        return tuple(sorted({int(n) for nodes, axes in seen for n in nodes[axes > 3]}))
 
     @property
     def n_modes(self) -> int:

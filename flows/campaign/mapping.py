@@ -5,6 +5,9 @@ model's axes and length (`alignment`), each sensor takes the nearest node within
 its direction is rotated into the axes of the model's results at that node. Without coordinates a
 sensor is the model's node of the same number, along the axes of that node's results.
 
+Stick models have nodes on an axis and sensors on a surface round it. There a sensor that is not
+at a node is rigidly attached to the section of the bar next to it.
+
 A node that cannot move in the sensor's direction, such as the grounded end of a spring under the
 structure, is passed over for the next one that can, unless the test has no motion there either.
 """
@@ -21,11 +24,15 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import TestGeometry
 from modetune.core.measurement.registration import Alignment
 from modetune.core.measurement.sensor_map import (
+    Sections,
     SensorMap,
+    bar_ends,
+    bar_sections,
     mean_edge,
     next_nodes,
     nodes_within,
     result_directions,
+    section_factors,
 )
 from modetune.core.mesh import NOTHING_FIXED, Fixed, Mesh
 from modetune.core.modes import COMPONENTS, Floats, Integers, ModeSet, dof_name
@@ -53,6 +60,9 @@ REASONS = 20
 MOST = 100_000
 #: Largest distance of a sensor from its node, as a part of the model's box diagonal.
 TOLERANCE = 0.02
+#: Largest distance of a sensor from the axis of a stick model, as a part of the model's diagonal:
+#: half the root chord of a wing, or the radius of a fuselage, with some reserve.
+REACH = 0.15
 #: A second node counts as equally near if its extra distance is at most this part of the distance.
 AS_NEAR = 0.1
 #: Number of test points of one node that are compared with each other and named in a message.
@@ -130,6 +140,11 @@ class Mapping:
     def doubtful(self) -> tuple[SensorRow, ...]:
         return tuple(row for row in self.table if row.verdict == "doubtful")
 
+    def read_at(self, mesh: Mesh) -> Floats:
+        """Return the places (n_sensors, 3) whose motion sensors read: nodes, or ends of arms."""
+        at_nodes = mesh.coordinates[mesh.rows(self.sensors.model_nodes)]
+        return np.where(self.sensors.on_bars[:, None], self.places[self.rows], at_nodes)
+
     @property
     def left_out(self) -> tuple[SensorRow, ...]:
         return tuple(row for row in self.table if row.verdict == "left out")
@@ -153,7 +168,9 @@ class MappedNode:
     """The node where a test point is read.
 
     node: 0 where there is none, for the reason in `missing`. distance: in the mesh's length, NaN
-    where unknown. passed: the nearest node where that one is fixed, else 0.
+    where unknown. passed: the nearest node where that one is fixed, else 0. section: of the bar
+    that carries the point, from its end `node`: the other end, the part of the bar's length, and
+    the arm (3,) from there, global axes.
     """
 
     node: int
@@ -161,6 +178,7 @@ class MappedNode:
     missing: str = ""
     doubts: tuple[str, ...] = ()
     passed: int = 0
+    section: tuple[int, float, Floats] | None = None
 
 
 #: By sensor: test point and component.
@@ -266,7 +284,7 @@ class _Mapper:
         places = np.full((at.size, 3), np.nan)
         found = at > 0
         places[found] = self.mesh.coordinates[self.mesh.rows(at[found])]
-        return self._mapping(table, axes, places, None, self._refused(table))
+        return self._mapping(table, axes, places, None, self._refused(table), nodes)
 
     def by_position(self, geometry: TestGeometry, laid: Laid) -> Mapping:
         """Map sensors to the nodes next to them, at the first pose; the others are alternatives."""
@@ -315,8 +333,21 @@ class _Mapper:
                     *notes,
                 ]
             )
-        notes = (*notes, *_passed_over(nodes))
-        return self._mapping(table, turned, places, alignment, notes + self._refused(table, notes))
+        notes = (*notes, *_passed_over(nodes), *self._attached(nodes))
+        notes += self._refused(table, notes)
+        return self._mapping(table, turned, places, alignment, notes, nodes)
+
+    def _attached(self, nodes: Nodes) -> list[str]:
+        """Return a sentence about the points that bars carry, if any."""
+        arms = {sensor[0]: item.distance for sensor, item in nodes.items() if item.section}
+        if not arms:
+            return []
+        far = max(arms, key=lambda point: arms[point])
+        count = f"{len(arms)} test point{' is' if len(arms) == 1 else 's are'}"
+        return [
+            f"{count} attached rigidly to the nearest bar, up to {self.length(arms[far])} off its "
+            f"axis (test point {far}), and moved by its translation and rotation"
+        ]
 
     def _nodes_at(self, names: Integers, places: Floats, directions: Floats) -> Nodes:
         """Return the nodes next to places (n, 3) of the points `names` (n,), for all sensors.
@@ -330,16 +361,20 @@ class _Mapper:
         if not at:
             return nodes
         found = next_nodes(np.array([*at.values()]), self.mesh)
+        carried = self._carried(
+            {point: place for point, place in at.items() if point not in self.match},
+            {point: float(found.distances[row, 0]) for row, point in enumerate(at)},
+        )
         nearest = {
             point: self._matched(self.match[point], place)
             if point in self.match
             else self._nearest(found.nodes[row], found.distances[row])
             for row, (point, place) in enumerate(at.items())
-        }
+        } | carried
         nodes |= {sensor: nearest[sensor[0]] for sensor in nodes if sensor[0] in nearest}
         held = np.isin(found.nodes, np.fromiter(self.fixed, np.int64, len(self.fixed))).any(axis=1)
         near = {point for point, is_held in zip(at, held, strict=True) if is_held}
-        near -= self.match.keys()
+        near -= self.match.keys() | carried.keys()
         for (point, component), direction, rests in zip(
             self.dofs, directions, self._at_rest(), strict=True
         ):
@@ -348,6 +383,38 @@ class _Mapper:
                 moving = self._moving(there, at[point], direction, component)
                 nodes[point, component] = moving
         return self._shared(nodes, at)
+
+    @property
+    def _can_attach(self) -> bool:
+        """Whether the model has bars, and its results their rotations."""
+        return self.components >= set(range(1, 7)) and bool(bar_ends(self.mesh).size)
+
+    def _carried(self, at: dict[int, Floats], to_node: dict[int, float]) -> dict[int, MappedNode]:
+        """Return those of the points at some places that bars carry on rigid arms.
+
+        to_node: distances from the nearest node, which is preferred if it is within the tolerance
+        and nearer than any bar: it ends an arm of the model's own.
+        """
+        apart = {point: at[point] for point in at if to_node[point] > ONE_PLACE * self.tolerance}
+        if not apart or self.settings.attach is False or not self._can_attach:
+            return {}
+        if self.settings.attach is None and not _is_stick(self.mesh):
+            return {}
+        reach = np.inf if self.settings.attach else REACH * diagonal(self.mesh.coordinates)
+        found = bar_sections(np.array([*apart.values()]), self.mesh)
+        return {
+            point: MappedNode(first, distance, section=(second, part, arm))
+            for point, (first, second), part, arm, distance in zip(
+                apart,
+                found.nodes.tolist(),
+                found.parts.tolist(),
+                found.arms,
+                found.distances.tolist(),
+                strict=True,
+            )
+            if distance <= reach
+            and (to_node[point] > self.tolerance or distance <= to_node[point] * (1.0 + 1e-9))
+        }
 
     def _at_rest(self) -> list[bool]:
         """Return of each sensor whether the test has no motion there."""
@@ -392,7 +459,7 @@ class _Mapper:
 
     def _nearest(self, nodes: Integers, distances: Floats) -> MappedNode:
         node, distance = int(nodes[0]), float(distances[0])
-        if distance > self.tolerance:
+        if distance > self.tolerance:  # and no bar carries it
             text = f"the nearest node, {node}, is {self.length(distance)} away"
             return MappedNode(0, distance, text)
         doubts = []
@@ -409,6 +476,8 @@ class _Mapper:
         """Add a doubt where test points at different places are read at one node."""
         sharing: dict[int, dict[int, list[int]]] = {}
         for (point, component), mapped in nodes.items():
+            if mapped.section is not None:
+                continue
             sharing.setdefault(mapped.node, {}).setdefault(point, []).append(component)
         doubted = dict(nodes)
         for node, points in sharing.items():
@@ -449,11 +518,19 @@ class _Mapper:
                     mapped.distance,
                     (float(direction[0]), float(direction[1]), float(direction[2])),
                     verdict,
-                    missing or "; ".join((*_reason(mapped), *mapped.doubts)),
+                    missing or "; ".join((*self._reason(mapped), *mapped.doubts)),
                     node_name="" if missing else self.mesh.names.get(mapped.node, ""),
                 )
             )
         return tuple(rows)
+
+    def _reason(self, mapped: MappedNode) -> list[str]:
+        """Return why a sensor is not read at the nearest node, where it is not."""
+        if mapped.section is not None:
+            bar = f"bar {mapped.node}-{mapped.section[0]}"
+            return [f"attached rigidly to {bar}, {self.length(mapped.distance)} from its axis"]
+        passed = f"the nearest node, {mapped.passed}, is fixed in this direction"
+        return [passed] * bool(mapped.passed)
 
     def _not_computed(self, component: int, direction: Floats) -> str:
         """Return why the model's results do not show a sensor's motion; "" where they do."""
@@ -488,11 +565,19 @@ class _Mapper:
             return (f"left out: {text}",)
         ways = []
         if self.settings.by == "position" and self.modes.n_dof:
+            if self._can_attach and not self.settings.attach:
+                ways += ["`attach: true` attaches them rigidly to bars"]
             fit = "`align: fit` fits rotation, scale and position"
             ways += ["`match` assigns nodes" if self.settings.fits else fit]
             ways += ["`tolerance` allows larger distances"]
         ways += ["`unmapped: leave_out` drops them"] if remain else ["no other sensor remains"]
-        raise CampaignError([f"{text}. In test.sensors: {', '.join(ways)}", *notes])
+        remedy = f"In test.sensors: {', '.join(ways)}"
+        if self.settings.attach is not False and _is_stick(self.mesh) and not self._can_attach:
+            remedy += (
+                "; results of this solver have no rotations, with which Nastran and MYSTRAN attach "
+                "sensors to bars"
+            )
+        raise CampaignError([f"{text}. {remedy}", *notes])
 
     def _mapping(
         self,
@@ -501,6 +586,7 @@ class _Mapper:
         places: Floats,
         alignment: Alignment | None,
         notes: tuple[str, ...],
+        nodes: Nodes,
     ) -> Mapping:
         rows = [place for place, row in enumerate(table) if row.verdict != "left out"]
         kept = np.array(rows, dtype=np.int64)
@@ -511,13 +597,29 @@ class _Mapper:
             directions=directions[kept],
             turns=self.modes.components[kept] > 3,
             distances=np.array([table[row].distance for row in rows], dtype=np.float64),
+            sections=self._sections(nodes, rows),
         )
         return Mapping(sensors, kept, alignment, places, table, self.tolerance, self.unit, notes)
 
+    def _sections(self, nodes: Nodes, rows: list[int]) -> Sections | None:
+        """Return what moves those of the sensors in these rows of the table that bars carry."""
+        terms, dofs = [], self.dofs
+        for sensor, row in enumerate(rows):
+            mapped = nodes[dofs[row]]
+            if mapped.section is not None:
+                second, part, arm = mapped.section
+                turns = dofs[row][1] > 3
+                own = section_factors(mapped.node, second, part, arm, turns, self.mesh)
+                terms.append((np.full(own[0].size, sensor), *own))
+        if not terms:
+            return None
+        return Sections(*(np.concatenate(items) for items in zip(*terms, strict=True)))
 
-def _reason(mapped: MappedNode) -> list[str]:
-    """Return why a sensor is not read at the nearest node, where it is not."""
-    return [f"the nearest node, {mapped.passed}, is fixed in this direction"] * bool(mapped.passed)
+
+def _is_stick(mesh: Mesh) -> bool:
+    """Return whether most elements of a mesh are bars: of those that are no points."""
+    n_elements = sum(item.elements.size for item in mesh.cells if item.kind != "vertex")
+    return 2 * len(mesh.bars) > n_elements
 
 
 def _passed_over(nodes: Nodes) -> list[str]:

@@ -51,7 +51,7 @@ SolverName = Literal["calculix", "nastran", "mystran", "matrices", "command"]
 BY_NAME = ("command",)
 NastranDialect = Literal["msc", "nx"]
 Eigensolver = Literal["auto", "solver", "pardiso", "mixed_precision"]
-ModelCheck = Literal["units", "size", "mass"]
+ModelCheck = Literal["units", "size", "mass", "mesh"]
 Method = Literal["auto", "strain_energy", "semi_analytic", "solver", "finite_difference"]
 #: Names the store's folder for all campaigns.
 STORE_VARIABLE = "MODETUNE_STORE"
@@ -213,9 +213,14 @@ class SensorSection(Section):
     tolerance: Annotated[Finite, Field(gt=0.0)] | None = None
     """Maximum distance of a sensor from its node, in the model's length unit; without it 2 % of the
     diagonal of the model's bounding box, or half the mean element edge if that is larger."""
+    attach: bool | None = None
+    """Whether sensors without a node near them are attached rigidly to the nearest bar or beam:
+    `true` at any distance, `false` never. Without this key they are in a model of mostly bars and
+    beams, up to 15 % of the diagonal of its bounding box. The solver's results must have
+    rotations."""
     unmapped: Literal["refuse", "leave_out"] = "refuse"
-    """What to do with sensors that have no node within the tolerance, or whose motion is missing
-    from the model's results."""
+    """What to do with sensors that have no node within the tolerance and no bar to be attached to,
+    or whose motion is missing from the model's results."""
     reverse: tuple[SensorName, ...] = ()
     """Sensors with the wrong sign, `[202.x]`; a node alone means all its directions. Applied last,
     after `exchange`."""
@@ -293,7 +298,7 @@ class ModelSection(Section):
     energy. modetune refuses a number that the strain energies contradict."""
     checks: tuple[ModelCheck, ...] = ()
     """Doubts about the model that you have examined and accept: `units`, from the speed of sound in
-    most of its mass; `size`; `mass`."""
+    most of its mass; `size`; `mass`; `mesh`, where ten-node tetrahedra are large for a mode."""
 
     @model_validator(mode="after")
     def _described(self) -> ModelSection:

@@ -253,7 +253,7 @@ def pairing_nodes(
 ) -> tuple[int, ...]:
     """Return the nodes of sensors and gauges; without sensors a spread of nodes to track modes."""
     if test.has_shapes:
-        nodes = sensors.model_nodes.tolist()
+        nodes = sensors.seen_nodes.tolist()
     else:
         nodes = list(tracking_nodes(solver.deck.summary.node_ids))
     return tuple(sorted({*nodes, *gauged}))

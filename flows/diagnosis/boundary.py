@@ -121,7 +121,7 @@ def _geometric(case: Case) -> Floats:
     if mesh is None or not np.isin(sensors.model_nodes, mesh.nodes).all():
         return np.where(sensors.turns[:, None], 0.0, sensors.directions)
     ways = global_directions(sensors.model_nodes, sensors.directions, mesh)
-    places = mesh.coordinates[mesh.rows(sensors.model_nodes)]
+    places = case.mapping.read_at(mesh)
     places = places - places.mean(axis=0)
     along = np.zeros((sensors.n_sensors, 6))
     for axis in range(3):

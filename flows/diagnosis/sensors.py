@@ -48,7 +48,8 @@ def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
     if mapping.alignment is not None:
         nodes, unit = np.unique(mapping.sensors.model_nodes).size, mapping.unit
         furthest = float(mapping.sensors.distances.max())
-        said = f"{mapping.sensors.n_sensors} sensors on {nodes} nodes, at most"
+        where = f"{nodes} nodes" + " and bars" * bool(mapping.sensors.on_bars.any())
+        said = f"{mapping.sensors.n_sensors} sensors on {where}, at most"
         away = f"{furthest:.4g} {unit}".rstrip()
         yield SENSORS.good(f"{said} {away} away")
     yield from _alike(campaign)
@@ -84,6 +85,7 @@ def _alike(campaign: Campaign) -> Iterator[Finding]:
     """Report sensors that measure the same direction at the same node."""
     seen = campaign.case.sensors
     order = np.lexsort((seen.turns, seen.model_nodes))
+    order = order[~seen.on_bars[order]]  # on arms they move differently
     pairs_found: list[Integers] = []
     # Of one node come next to each other; with six ways to look, the later ones repeat the
     # findings.

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -116,7 +116,10 @@ def campaign_record(
         wall_s=wall_s,
         surface=None if only is None else shown_surface(only),
         geometry=None if only is None else only.measurement.geometry,
-        sensors=only.sensors if only is not None and only.sensors.n_sensors else None,
+        # Pictures draw sensors at their places, without what moves those on arms.
+        sensors=replace(only.sensors, sections=None)
+        if only is not None and only.sensors.n_sensors
+        else None,
         places=None if only is None else sensor_places(only),
         frfs=None if only is None else only.measurement.frfs,
         units=campaign.cases[0].units,

@@ -95,17 +95,17 @@ def solved_energies(
 
 
 def modes_at(
-    observer: Callable[[Integers, Integers], sparse.csr_array],
+    model: StoredModel,
     eigenvalues: Floats,
     shapes: Floats,
     energies: Floats,
     n_rigid: int,
     analysis: ModalAnalysis,
 ) -> ModalResult:
-    """Return the modes at an analysis' nodes from all unknowns; observer: as `observer_of`."""
+    """Return the modes at an analysis' nodes from those of all the model's unknowns."""
     eigenvalues = eigenvalues[: analysis.n_modes]
-    nodes, components = named_freedoms(analysis.nodes)
-    shapes = observer(nodes, components) @ shapes[:, : analysis.n_modes]
+    nodes, components = model.freedoms(analysis.nodes)
+    shapes = model.observer(nodes, components) @ shapes[:, : analysis.n_modes]
     rigid = min(n_rigid, eigenvalues.size)
     energies = energies[: eigenvalues.size]
     return ModalResult.of_shapes(eigenvalues, shapes, nodes, components, energies, rigid)
@@ -124,12 +124,6 @@ def observer_of(
             f"the motion of node {named}{more} does not follow from the stored matrices' unknowns"
         )
     return seen.matrix
-
-
-def named_freedoms(nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
-    """Return the degrees of freedom of a modal result at these nodes: node by node, x, y, z."""
-    ordered = np.array(sorted(nodes), dtype=np.int64)
-    return np.repeat(ordered, 3), np.tile(np.arange(1, 4), ordered.size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,6 +218,26 @@ class StoredModel:
     def in_memory(self) -> float:
         """Return the permitted size of large arrays in memory, bytes."""
         return IN_MEMORY * self.source.engine.memory_bytes
+
+    @cached_property
+    def _turning(self) -> Integers:
+        """Return the nodes whose rotations sensors see."""
+        return np.array(self.campaign.case.rotation_nodes, dtype=np.int64)
+
+    def freedoms(self, nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
+        """Return the degrees of freedom of a modal result at nodes, and their components.
+
+        Node by node x, y, z, and the rotations of nodes where sensors see these.
+        """
+        ordered = np.array(sorted(nodes), dtype=np.int64)
+        counts = np.where(np.isin(ordered, self._turning), 6, 3)
+        starts = np.repeat(np.cumsum(counts) - counts, counts)
+        return np.repeat(ordered, counts), np.arange(starts.size) - starts + 1
+
+    def named(self, nodes: tuple[int, ...]) -> dict[str, Json]:
+        """Return what of a content key says at which degrees of freedom results are."""
+        turning = sorted({*nodes} & {*self._turning.tolist()})
+        return {"nodes": list(nodes), **({"rotations": turning} if turning else {})}
 
     def in_files(self, put: Callable[[Path], T]) -> T:
         """Return the result of `put` with arrays in unnamed files, which are freed with them."""
@@ -481,9 +495,9 @@ class MatrixModes:
         def compute() -> ModalResult:
             solved = self._solutions.modes(item)
             found = solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid
-            return modes_at(self._model.observer, *found, analysis)
+            return modes_at(self._model, *found, analysis)
 
-        asked = _asked_modes(item, analysis)
+        asked = _asked_modes(item, self._model.named(analysis.nodes))
         found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
 
@@ -509,7 +523,7 @@ class MatrixModes:
                 "matrices": job,
                 "from": self._shift if start is None else start.key,
                 "n_modes": analysis.n_modes,
-                "nodes": list(analysis.nodes),
+                **self._model.named(analysis.nodes),
                 **({} if counted else {"counted": False}),
             }
 
@@ -530,9 +544,7 @@ class MatrixModes:
                     raise NotCounted
                 self.engine.store.drop(job)  # as large as the model, and not needed again
                 self._solutions.forget()
-                return modes_at(
-                    self._model.observer, solved.eigenvalues, solved.shapes, *more, analysis
-                )
+                return modes_at(self._model, solved.eigenvalues, solved.shapes, *more, analysis)
 
             name = "modes of assembled matrices" + ", counted" * counted
             modal = self._derived(asked(counted), compute, ModalResult, name)
@@ -551,7 +563,7 @@ class MatrixModes:
 
     def key(self, theta: Floats, analysis: ModalAnalysis) -> str:
         """Return the key of `modal` without computing anything."""
-        asked = _asked_modes(self._set(theta, analysis.n_modes), analysis)
+        asked = _asked_modes(self._set(theta, analysis.n_modes), self._model.named(analysis.nodes))
         return content_key(canonical_json(asked))
 
     def foreseen(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
@@ -567,13 +579,13 @@ class MatrixModes:
             energies = 0.5 * eigenvalues
             energies[: basis.n_rigid] = np.nan
             found = eigenvalues, shapes, energies, basis.n_rigid
-            return modes_at(self._model.observer, *found, analysis)
+            return modes_at(self._model, *found, analysis)
 
         asked: Json = {
             "foreseen": around.key,
             "theta": values.tolist(),
             "n_modes": analysis.n_modes,
-            "nodes": list(analysis.nodes),
+            **self._model.named(analysis.nodes),
         }
         found = self._derived(asked, compute, ModalResult, "modal by the reduced model")
         return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
@@ -642,11 +654,11 @@ class MatrixModes:
             "reduced": REDUCED_VERSION,
             "around": item.key,
             "pairs": modes.tolist(),
-            "nodes": list(nodes),
+            **self._model.named(nodes),
         }
         key = content_key(canonical_json(asked))
         if key not in self._reduced:
-            self._reduced[key] = ReducedAround(key, item, modes, named_freedoms(nodes))
+            self._reduced[key] = ReducedAround(key, item, modes, self._model.freedoms(nodes))
         around = self._around = self._reduced[key]
         return self._derived(
             asked, lambda: self._solutions.basis(around).reduced, ReducedModel, "reduced model"
@@ -721,5 +733,5 @@ class MatrixModes:
         return self._sets[mark]
 
 
-def _asked_modes(item: ModalSet, analysis: ModalAnalysis) -> Json:
-    return {"modes at": item.key, "nodes": list(analysis.nodes)}
+def _asked_modes(item: ModalSet, named: dict[str, Json]) -> Json:
+    return {"modes at": item.key, **named}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from modetune.adapters.nastran.bulk import DEFAULTS, Bulk, filled, unused_properties
+from modetune.adapters.nastran.case_control import members_of
 from modetune.adapters.nastran.deck import NastranDeck
 from modetune.adapters.nastran.fields import NastranCard, large_field
 from modetune.adapters.nastran.harmless import HARMLESS
@@ -93,6 +94,11 @@ def mystran_cards(
             problems.setdefault(reason, []).append(deck.where(card))
             continue
         fields = filled(card, defaults.get(card.name))
+        if card.name in ("SPCADD", "MPCADD"):  # a set that is absent stops MYSTRAN
+            members = members_of(deck, card)
+            if not members:
+                continue
+            fields = [card.text(1), *members]
         cards += _written(card, fields, scalars)
     cards += (*beams.rest(), *solids.rest())
     if problems:

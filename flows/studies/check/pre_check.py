@@ -39,6 +39,7 @@ from modetune.flows.studies.check.model import (
     ModelFacts,
     mass_findings,
     memory_findings,
+    mesh_findings,
     model_facts,
     rigid_findings,
     size_findings,
@@ -156,7 +157,9 @@ def judged(
     solver = campaign.case.solver
     components, by_hand = solver.deck.summary.components, solver.rigid_modes is not None
     held = list(rigid_findings(result, components, by_hand))
-    found = [*static, *mass_findings(campaign, facts), *held]
+    up_to_hz = float(test.modes.frequencies_hz.max()) if test.numbers else np.inf
+    mesh = mesh_findings(campaign, result.elastic, 1.1 * up_to_hz)
+    found = [*static, *mass_findings(campaign, facts), *held, *mesh]
     if worst(held) == "wrong" or lowest_hz <= 0.0 or not test.numbers:
         return PreCheckReport(
             tuple(found), facts, runs=runs

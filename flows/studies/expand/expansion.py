@@ -327,7 +327,7 @@ def _spline(test: _Test) -> ExpandedShapes:
             "fills each of these on its own"
         )
     shapes = test.shapes * np.sign(along)[:, None]
-    where = mesh.coordinates[mesh.rows(sensors.model_nodes)]
+    where = test.campaign.case.mapping.read_at(mesh)
     places = Places(where, (axes + 1).astype(np.int64))
 
     def fill(kept: Integers) -> Shapes:

@@ -157,7 +157,9 @@ def test_system_cells_stay_and_what_a_job_cannot_carry_is_refused_all_at_once(
     kept = "NASTRAN SYSTEM(151)=1,\n  BUFFSIZE=65537\nASSIGN OUTPUT2='x.op2',UNIT=12\n"
     text = job(tmp_path, kept + HEAD + BULK)
     assert text.startswith("NASTRAN SYSTEM(151)=1,\n  BUFFSIZE=65537\nSOL 103\n")
-    bad = "ASSIGN INPUTT2='loads.op2',UNIT=13\n" + HEAD.replace("CEND", "COMPILE SEMODES\nCEND")
+    bad = "ASSIGN INPUTT2='loads.op2',UNIT=13\n" + HEAD.replace(
+        "CEND", "COMPILE SEMODES\nALTER 3\nCEND"
+    )
     with pytest.raises(ModelError) as caught:
         job(tmp_path, bad + BULK, dialect=MYSTRAN)
     message = str(caught.value)

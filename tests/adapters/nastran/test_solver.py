@@ -724,6 +724,6 @@ def test_mystran_gives_the_closed_form_and_follows_the_parameters(mystran: Mystr
 
 
 def test_mystran_refuses_what_its_error_file_says(mystran: Mystran) -> None:
-    text = deck().replace("SPC = 1", "SPC = 9").replace("BULK\n", "BULK\nSPCADD,9,1,44\n")
-    with pytest.raises(SolverRejected, match=r"\*ERROR +1018: MISSING SPC OR SPC1 ENTRY"):
+    text = deck().replace("BULK\n", "BULK\nSPC1,1,1,777\n")
+    with pytest.raises(SolverRejected, match=r"\*ERROR +1822: GRID +777 ON SPC OR SPC1"):
         mystran(ModalAnalysis(2, (1,)), {}, text)

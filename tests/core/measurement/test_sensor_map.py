@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from modetune.core.errors import ModesError
-from modetune.core.measurement.sensor_map import SensorMap, mean_edge, next_nodes, result_directions
+from modetune.core.measurement.sensor_map import (
+    Sections,
+    SensorMap,
+    bar_sections,
+    mean_edge,
+    next_nodes,
+    result_directions,
+    section_factors,
+)
 from modetune.core.mesh import Cells, Mesh
 from modetune.core.modes import mode_set
 from tests.node_sensors import by_number
@@ -142,3 +151,40 @@ def test_a_million_sensors_see_what_their_nodes_do() -> None:
     np.testing.assert_allclose(
         sensors.observe(modes).mode_shapes[:, 0], np.sum(halves * directions, axis=1), atol=1e-12
     )
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.5])
+def test_a_sensor_on_an_arm_moves_rigidly_with_a_rigid_bar(turns: bool, part: float) -> None:
+    # A rotation about the origin moves a place p by theta x p; all results are in rotated frames.
+    rng = np.random.default_rng(7)
+    places = rng.normal(size=(2, 3))
+    frames = {n: Rotation.random(random_state=n).as_matrix() for n in (1, 2)}
+    bar = Cells("line", np.array([5]), np.array([[1, 2]]))
+    mesh = Mesh(np.array([1, 2]), places, (bar,), frames, bars=frozenset({5}))
+    arm, theta, direction = rng.normal(size=(3, 3))
+    nodes, components, factors = section_factors(1, 2, part, arm, turns, mesh)
+    assert factors.shape == (nodes.size, 3)
+    motion = np.concatenate(
+        [frames[n] @ field for n, p in zip((1, 2), places, strict=True)
+         for field in (np.cross(theta, p), theta)]
+    )  # fmt: skip
+    sensor = SensorMap(
+        np.array([9]), np.array([4 if turns else 1]), np.array([1]),
+        result_directions(np.array([1]), direction[None], mesh), np.array([turns]), np.zeros(1),
+        Sections(np.zeros(nodes.size, dtype=np.int64), nodes, components, factors),
+    )  # fmt: skip
+    seen = sensor.observe(mode_set([1.0], motion[:, None], *EVERY)).mode_shapes[0, 0]
+    there = places[0] + part * (places[1] - places[0]) + arm
+    expected = direction @ (theta if turns else np.cross(theta, there))
+    assert seen == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_section_next_to_a_place_is_of_the_nearest_bar() -> None:
+    places = np.array([[0.0, 0, 0], [2, 0, 0], [2, 3, 0], [9, 9, 9]])
+    lines = Cells("line", np.array([1, 2, 3]), np.array([[1, 2], [2, 3], [3, 4]]))
+    mesh = Mesh(np.arange(1, 5), places, (lines,), bars=frozenset({1, 2}))
+    found = bar_sections(np.array([[0.5, 0.4, 0.0], [2.2, 2.4, 0.0], [-3.0, 0.0, 4.0]]), mesh)
+    assert found.nodes.tolist() == [[1, 2], [3, 2], [1, 2]]
+    np.testing.assert_allclose(found.parts, [0.25, 0.2, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(found.distances, [0.4, 0.2, 5.0], rtol=1e-12)
