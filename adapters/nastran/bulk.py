@@ -24,7 +24,14 @@ from pyNastran.bdf.bdf_interface.utils import fill_dmigs
 
 from modetune.adapters.nastran.cards import CARDS, idents_of
 from modetune.adapters.nastran.deck import NastranDeck, texts_at, with_lines
-from modetune.adapters.nastran.fields import LOST, NAME, NastranCard, read_cards, read_number
+from modetune.adapters.nastran.fields import (
+    LOST,
+    NAME,
+    NastranCard,
+    has_copies,
+    read_cards,
+    read_number,
+)
 from modetune.adapters.nastran.harmless import HARMLESS, TEMPERATURE_DEPENDENT
 from modetune.core.errors import ModelError
 
@@ -250,7 +257,8 @@ def filled(card: NastranCard, default: NastranCard | None) -> list[str]:
     Whole numbers in fields of real ones have a point.
     """
     if default is None:
-        return with_points(card.name, [card.text(field) for field in range(1, len(card.fields))])
+        texts = [field.text.upper() if field else "" for field in card.fields[1:]]
+        return with_points(card.name, texts)
     count = max(len(card.fields), len(default.fields))
     texts = [card.text(field) or default.text(field) for field in range(1, count)]
     return with_points(card.name, texts)
@@ -364,8 +372,6 @@ def _where(deck: NastranDeck, cards: Cards, number: int) -> str:
 
 #: Families of cards, by pyNastran's names, whose numbers may be edited in place.
 FAMILIES = ("elements", "masses", "properties", "properties_mass", "materials")
-#: How a line begins that copies a card above it.
-COPIES = ("=", "*(")
 
 #: An object of the model, and new values of its attributes.
 Patch = tuple[Any, dict[str, Any]]
@@ -396,7 +402,7 @@ def _patches(deck: NastranDeck, bulk: Bulk, changed: Mapping[int, str]) -> list[
     """What to set on which objects; None where the deck has to be read again."""
     if deck.parts:  # a card's own number may not be the model's
         return None
-    if any(deck.lines[position].text.lstrip().startswith(COPIES) for position in deck.bulk):
+    if has_copies(deck.lines, deck.bulk):
         return None
     if any("\n" in text for text in changed.values()):  # cards are added
         return None

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
-from modetune.adapters.nastran.fields import NastranCard, read_cards, read_number
+from modetune.adapters.nastran.fields import NastranCard, read_cards, read_changed, read_number
 from modetune.adapters.nastran.parts import Part, is_partitioned, merged_cards
 from modetune.core.errors import ModelError
 
@@ -91,7 +91,10 @@ def _cards(lines: Sequence[Line], bulk: range, parts: Sequence[Part]) -> tuple[N
 def with_lines(deck: NastranDeck, changed: Mapping[int, str]) -> NastranDeck:
     """The deck as it reads with some lines changed. Raises ModelError."""
     lines = texts_at(deck, changed)
-    return replace(deck, lines=lines, cards=_cards(lines, deck.bulk, deck.parts))
+    cards = None if deck.parts else read_changed(deck.cards, deck.lines, changed, deck.bulk)
+    if cards is None:
+        cards = _cards(lines, deck.bulk, deck.parts)
+    return replace(deck, lines=lines, cards=cards)
 
 
 def texts_at(deck: NastranDeck, changed: Mapping[int, str]) -> tuple[Line, ...]:

@@ -21,8 +21,9 @@ import math
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from modetune.adapters.deck_files import Line
 from modetune.core.errors import ModelError
@@ -32,6 +33,8 @@ NAME = re.compile(r"[A-Z][A-Z0-9_]{0,7}")
 AGAIN = re.compile(r"=|=\(?(\d+)\)?")
 #: A field of such a line that adds to the number above.
 INCREMENT = re.compile(r"\*\(?([^()]+)\)?")
+#: How a line begins that copies a card above it, or increments it.
+COPIES = ("=", "*(")
 #: The name of a line that continues no card.
 LOST = "+"
 #: A card is repeated at most so often: more is a slip that would fill the memory.
@@ -46,8 +49,7 @@ NUMBER_AND_COMMA = re.compile(r"[+-]?\d+,")
 TAG = 72
 
 
-@dataclass(frozen=True, slots=True)
-class CardField:
+class CardField(NamedTuple):
     """One field of a card, as written in the deck.
 
     line: position in the deck's lines. start, stop: the columns of the line's text, blanks of the
@@ -75,14 +77,17 @@ class NastranCard:
     lines: tuple[int, ...]
     fields: tuple[CardField | None, ...]
 
+    def __hash__(self) -> int:
+        """The hash of a few parts that differ between cards: that of all fields takes long."""
+        return hash((self.name, self.lines, self.fields[1:3]))
+
     def text(self, field: int) -> str:
         """A field's text in upper case, empty where it is blank."""
         found = self.fields[field] if field < len(self.fields) else None
         return found.text.upper() if found else ""
 
 
-@dataclass(frozen=True, slots=True)
-class CardRow:
+class CardRow(NamedTuple):
     """One line of bulk data: a name or the tag it continues, its data, and the tag it leaves."""
 
     line: int
@@ -126,6 +131,42 @@ def read_cards(lines: Sequence[Line], positions: Iterable[int]) -> tuple[Nastran
     return tuple(sorted(cards, key=lambda card: card.lines[0]))
 
 
+def read_changed(
+    cards: Sequence[NastranCard],
+    lines: Sequence[Line],
+    changed: Mapping[int, str],
+    positions: range,
+) -> tuple[NastranCard, ...] | None:
+    """The cards of a deck of which some lines change; only cards in these lines are read again.
+
+    cards, lines: before the change. positions: of the bulk data. None if all must be read again:
+    where cards copy others, or where a line changes its name or the lines that it continues.
+    """
+    texts = {place: text for place, text in changed.items() if place in positions}
+    if any("\n" in text for text in texts.values()) or has_copies(lines, positions):
+        return None
+    rows = {}
+    for place, text in texts.items():
+        before, after = _row(lines[place], place), _row(lines[place]._replace(text=text), place)
+        links = (before.name, before.tag, before.next_tag)
+        if links != (after.name, after.tag, after.next_tag):
+            return None
+        if not text.partition("$")[0].strip() or not lines[place].text.partition("$")[0].strip():
+            return None
+        rows[place] = after
+    return tuple(
+        card
+        if rows.keys().isdisjoint(card.lines)
+        else _card([rows.get(place) or _row(lines[place], place) for place in card.lines])
+        for card in cards
+    )
+
+
+def has_copies(lines: Sequence[Line], positions: Iterable[int]) -> bool:
+    """Whether lines at these positions repeat cards above them."""
+    return any(lines[position].text.lstrip().startswith(COPIES) for position in positions)
+
+
 def _card(chain: Sequence[CardRow]) -> NastranCard:
     fields = [chain[0].head, *(field for row in chain for field in row.data)]
     while fields and fields[-1] is None:
@@ -160,9 +201,9 @@ def _copy(
                 text = _sum(old.text if old else "0", increments[number])
             except ValueError as error:
                 raise ModelError(f"{lines[row.line].where}: {error}") from None
-            fields.append(replace(here, text=text))
+            fields.append(here._replace(text=text))
         elif copied:
-            fields.append(old and replace(here, text=old.text))
+            fields.append(old and here._replace(text=old.text))
         else:
             fields.append(field)
     while fields[-1] is None:
@@ -200,6 +241,10 @@ def _following(rows: Sequence[CardRow]) -> dict[int, int]:
 def _row(line: Line, position: int) -> CardRow:
     """Split one line into its fields. Raises ModelError."""
     data = line.text.partition("$")[0].rstrip()
+    if "," not in data and "\t" not in data:
+        row = _fixed_row(data, position)
+        if row is not None:
+            return row
     free = _is_free(data)
     first, *spans = _free_spans(data) if free else _fixed_spans(data)
     head = data[first[0] : first[1]].strip().upper()
@@ -222,6 +267,33 @@ def _row(line: Line, position: int) -> CardRow:
         "" if name else _tag(head),
         fields,
         _tag(tag),
+    )
+
+
+def _fixed_row(data: str, position: int) -> CardRow | None:
+    """A line in small or large field, of a large deck nearly all; None if a `*` is inside a name.
+
+    data: without tabs, commas and comment.
+    """
+    end = len(data)
+    head = data[:SMALL].strip().upper()
+    large = "*" in head
+    if large and not (head.startswith("*") or head.endswith("*")):
+        return None
+    width = LARGE if large else SMALL
+    fields = []
+    for start in range(SMALL, TAG, width):
+        text = data[start : start + width].strip()
+        place = CardField(position, start, min(start + width, end), width, text) if text else None
+        fields.append(place)
+    name = "" if head[:1] in ("", "+", "*") else head.rstrip("*").rstrip()
+    return CardRow(
+        position,
+        CardField(position, 0, min(SMALL, end), SMALL, head) if name else None,
+        name,
+        "" if name else _tag(head),
+        tuple(fields),
+        _tag(data[TAG : TAG + SMALL].strip().upper()) if end > TAG else "",
     )
 
 

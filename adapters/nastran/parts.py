@@ -447,7 +447,7 @@ def _renumbered(card: NastranCard, maps: Mapping[str, Mapping[int, int]]) -> Nas
     for place, kind in _kinds(card):
         own, number = fields[place], int(card.text(place))
         if own is not None and number in maps[kind]:
-            fields[place] = replace(own, text=str(maps[kind][number]))
+            fields[place] = own._replace(text=str(maps[kind][number]))
     texts = {found.text.upper() for found in fields if found}
     if card.name in RANGES and "THRU" in texts and maps["N"]:
         points = sorted(maps["N"][n] for n in _points(card) if n in maps["N"])
@@ -459,7 +459,7 @@ def _listed(card: NastranCard, points: Iterable[int]) -> NastranCard:
     """Return a card of ranges with these points instead."""
     here = CardField(card.lines[0], 0, 0, 0, "")
     head = card.fields[: RANGES[card.name]]
-    return replace(card, fields=(*head, *(replace(here, text=str(n)) for n in points)))
+    return replace(card, fields=(*head, *(here._replace(text=str(n)) for n in points)))
 
 
 def _texts(card: NastranCard) -> tuple[str, ...]:

@@ -112,9 +112,14 @@ def mystran_cards(
     if n_modes:
         cards += scalars.spare(n_modes)
     return [
-        large_field(name, _paired(name, [POINTLESS.sub(r"\1.\2", text) for text in fields]))
+        large_field(name, _paired(name, [_pointed(text) for text in fields]))
         for name, fields in cards
     ]
+
+
+def _pointed(text: str) -> str:
+    """A field with the decimal point that MYSTRAN requires."""
+    return text if "." in text or text.isdecimal() else POINTLESS.sub(r"\1.\2", text)
 
 
 def _paired(name: str, fields: list[str]) -> list[str]:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from pyNastran.bdf.bdf import BDF
 from pyNastran.bdf.field_writer_8 import print_float_8
 
-from modetune.adapters.nastran.deck import NastranDeck, read_deck, write_edited
+from modetune.adapters.nastran.deck import NastranDeck, read_deck, with_lines, write_edited
 from modetune.adapters.nastran.fields import (
     CardField,
     NastranCard,
@@ -515,3 +515,63 @@ def test_a_tag_may_stand_in_many_places(tmp_path: Path) -> None:
     path.write_text("\n".join(["BEGIN BULK", *rows, "ENDDATA", ""]))
     bodies = read_deck(path).named("CONM2")
     assert [card.text(9) for card in bodies] == [".1", ".2", ".3"]
+
+
+#: Cards in all formats; a tag that a later line continues; a card that another copies.
+EDITED = """GRID    1               0.      0.      0.
+MAT1    1       7.+4            .3      2.7-9                   .02
+MAT1,2,2.1+5,,.3,7.8-9
+PSHELL*                7               1              2.               1
+*                                      1
+CONM2   1       1               1.                                      +C1
+$ a comment
+PSHELL  3       1       2.      1               1       $ another
++C1     .1
+"""
+
+
+@pytest.mark.parametrize(
+    ("position", "text", "kept"),
+    [
+        (1, "MAT1    1       7.1+4           .3      2.7-9                   .02", 5),
+        (2, "MAT1,2,2.2+5,,.3,7.8-9", 5),
+        (3, "PSHELL*                7               1            2.25               1", 5),
+        (4, "*                                      2", 5),
+        (8, "+C1     .2", 5),
+        # What moves a card's lines, or is a card no longer, means another reading of all.
+        (8, "+C2     .2", 0),
+        (1, "MAT8    1       7.+4", 0),
+        (6, "GRID,9", 0),
+        (0, "$", 0),
+        (7, "PSHELL  3       1       2.      1\nGRID,9", 0),
+    ],
+)
+def test_an_edited_deck_reads_as_its_file_does(
+    tmp_path: Path, position: int, text: str, kept: int
+) -> None:
+    deck = read_deck(write(tmp_path, main=EDITED))
+    edited = with_lines(deck, {position: text})
+    lines = EDITED.splitlines()
+    lines[position] = text
+    if "\n" not in text:  # the deck then has a line less than its file
+        assert edited.cards == read_deck(write(tmp_path, main="\n".join(lines))).cards
+    before = {id(card) for card in deck.cards}
+    assert len([card for card in edited.cards if id(card) in before]) == kept
+
+
+def test_a_copy_follows_an_edit_of_the_card_that_it_repeats(tmp_path: Path) -> None:
+    deck = read_deck(write(tmp_path, main="PELAS,1,100.\n=,*1,=\n"))
+    edited = with_lines(deck, {0: "PELAS,1,110."})
+    assert [card.text(2) for card in edited.cards] == ["110.", "110."]
+
+
+def test_columns_mean_the_same_with_and_without_tabs(tmp_path: Path) -> None:
+    # Lines with tabs take another way through the reader than those without.
+    plain = "GRID    1               1.      2.      3.      4\nMAT1*   1               7.+4\n"
+    tabbed = "GRID\t1\t\t1.\t2.\t3.\t4\nMAT1*\t1\t\t7.+4\n"
+    one, other = (read_deck(write(tmp_path, main=text)).cards for text in (plain, tabbed))
+    assert [texts(card) for card in one] == [texts(card) for card in other]
+    first = field_of(one[0], 6)
+    assert (first.start, first.stop, first.width) == (48, 49, 8)
+    second = field_of(one[1], 2)
+    assert (second.start, second.stop, second.width) == (24, 28, 16)
