@@ -67,8 +67,10 @@ def rotation_to_test(
     rotation = np.eye(computed.n_modes)
     turned = False
     for members in close_sets(computed.frequencies_hz, CLOSE):
+        if members.size < 2 or not rows_m.size:
+            continue
         pairs = np.flatnonzero(np.isin(pairing.computed, members))
-        if members.size < 2 or not pairs.size or not rows_m.size:
+        if not pairs.size:
             continue
         # What the model does not split at all may lie as the test's at no cost.
         repeated = len(close_sets(computed.frequencies_hz[members], 0.5 * REPEATED)) == 1
@@ -103,6 +105,8 @@ def paired_clusters(
         close_labels(computed.frequencies_hz, CLOSE)[pairing.computed],
     )
     n_pairs = pairing.measured.size
+    if all(len(set(side.tolist())) == n_pairs for side in sides):  # each pair is alone
+        return list(np.arange(n_pairs)[:, None])
     first, second = np.nonzero((sides[0][:, None] == sides[0]) | (sides[1][:, None] == sides[1]))
     joined = coo_array((np.ones(first.size), (first, second)), shape=(n_pairs, n_pairs))
     _, labels = connected_components(joined, directed=False)
@@ -112,7 +116,7 @@ def paired_clusters(
 def with_neighbours(frequencies_hz: Floats, modes: Integers) -> Integers:
     """Positions of these modes of a model and of all that are close to them."""
     labels = close_labels(frequencies_hz, CLOSE)
-    return np.flatnonzero(np.isin(labels, labels[modes]))
+    return np.flatnonzero((labels[:, None] == labels[modes]).any(axis=1))
 
 
 def _orthonormal(columns: Floats) -> Floats | None:

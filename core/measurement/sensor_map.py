@@ -16,7 +16,7 @@ from scipy import sparse
 
 from modetune.core.errors import ModesError
 from modetune.core.mesh import CORNERS, CellKind, Mesh
-from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.modes import Floats, Integers, ModeSet, places_of
 
 #: Corners of a solid's first face, around which its edges are taken.
 FACE: dict[CellKind, int] = {
@@ -55,13 +55,9 @@ class SensorMap:
         Raises ModesError where a component that a sensor looks along is missing.
         """
         places = 7 * nodes + components  # one number a degree of freedom
-        order = np.argsort(places, kind="stable")
         axes = np.arange(1, 4) + 3 * self.turns[:, None]
         wanted = 7 * self.model_nodes[:, None] + axes
-        # Of rows of one name the last counts.
-        last = np.searchsorted(places, wanted, side="right", sorter=order) - 1
-        columns = order[np.maximum(last, 0)] if order.size else np.zeros_like(wanted)
-        known = places[columns] == wanted if order.size else np.zeros(wanted.shape, bool)
+        known, columns = places_of(wanted, places)
         lost = np.argwhere(~known & (np.abs(self.directions) > 1e-6))
         if lost.size:
             sensor, axis = lost[0]
@@ -70,7 +66,8 @@ class SensorMap:
                 f"{self.model_nodes[sensor]}, along which the sensor at test point "
                 f"{self.nodes[sensor]} looks"
             )
-        entries = self.directions[known], (np.nonzero(known)[0], columns[known])
+        starts = np.concatenate([[0], np.cumsum(known.sum(axis=1))])
+        entries = self.directions[known], columns[known], starts
         return sparse.csr_array(entries, shape=(self.n_sensors, nodes.size))
 
     def observe(self, modes: ModeSet) -> ModeSet:

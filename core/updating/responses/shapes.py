@@ -108,9 +108,10 @@ class PairedCluster:
     def change(self, changes: Floats) -> Floats:
         """Return derivatives of `away`, (n_sensors, n, k); changes: of all pairs' shapes."""
         change = changes[:, self.pairs] * self.scales[:, :, None]
+        flat = change.reshape(change.shape[0], -1)
         for space in (self.space, self.test):
-            change = change - np.tensordot(space, np.tensordot(space.T, change, axes=1), axes=1)
-        return change
+            flat = flat - space @ (space.T @ flat)
+        return np.asarray(flat.reshape(change.shape))
 
 
 def clusters(state: ModelState) -> list[PairedCluster]:
@@ -137,6 +138,8 @@ def clusters(state: ModelState) -> list[PairedCluster]:
 def _space(shapes: Floats) -> Floats:
     """Return an orthonormal basis (n_sensors, k) of shapes of any scale."""
     lengths = np.linalg.norm(shapes, axis=0)
+    if lengths.size == 1:  # most clusters are of one mode
+        return shapes / lengths if lengths[0] > 0.0 else shapes[:, :0]
     left, values, _ = np.linalg.svd(
         shapes / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False
     )
