@@ -318,10 +318,12 @@ def test_a_wheel_built_from_the_sdist_holds_every_module_and_runs(tmp_path: Path
     environment = os.environ | {"PYTHONPATH": str(place)}
     told = succeeds(sys.executable, "-c", where, cwd=tmp_path, env=environment)
     assert Path(told.strip()) == place / "modetune" / "__init__.py"
-    command = "from modetune.flows.cli.main import main; main()"
-    case = ("demo", "six-mass")  # its files come with the package
-    told = succeeds(sys.executable, "-c", command, *case, cwd=tmp_path, env=environment)
-    assert "converged" in told
+    # The case's files, and the templates of the report, come with the package.
+    case = (*python, "modetune.configs.cases", "six_mass", ".")
+    succeeds(*case, cwd=tmp_path, env=environment)
+    update = (*python, "modetune", "update", "campaign.yaml", "--set", "update.starts=1")
+    assert "converged" in succeeds(*update, cwd=tmp_path, env=environment)
+    assert (tmp_path / "runs" / "six-mass" / "report.html").is_file()
 
 
 def succeeds(*command: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> str:
