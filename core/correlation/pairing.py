@@ -490,7 +490,8 @@ def next_pairing(
         previous, elastic = previous.rows(rows_before), elastic.rows(rows_now)
     if not test.has_shapes:
         return pair_by_tracking(pairing, previous, elastic)
-    by_hand = np.isin([test.numbers[row] for row in pairing.measured], list(rules.by_hand))
+    numbers = [test.numbers[row] for row in pairing.measured.tolist()]
+    by_hand = np.array([number in rules.by_hand for number in numbers], dtype=np.bool_)
     hand = _some(pairing, np.flatnonzero(by_hand))
     if hand.measured.size:
         tracked = pair_by_tracking(hand, previous, elastic)
@@ -498,7 +499,7 @@ def next_pairing(
     rows = pairing.measured[~by_hand]
     if not rows.size:
         return hand
-    columns = np.setdiff1d(np.arange(seen.n_modes), hand.computed)
+    columns = np.delete(np.arange(seen.n_modes), hand.computed)
     low, high = rules.reach
     rest = pair_by_shape(
         test.modes.select(rows),
