@@ -61,14 +61,17 @@ def rotation_to_test(
     if there is nothing to rotate: no paired mode is close to another one, the test cannot split
     them either, or the sensors cannot determine the rotation.
     """
+    several = [item for item in close_sets(computed.frequencies_hz, CLOSE) if item.size > 1]
+    if not several:
+        return None
     rows_m, rows_c = common_dofs(measured, computed)
+    if not rows_m.size:
+        return None
     alike = close_labels(measured.frequencies_hz, resolution)
     one = close_labels(measured.frequencies_hz, FINE * resolution)
     rotation = np.eye(computed.n_modes)
     turned = False
-    for members in close_sets(computed.frequencies_hz, CLOSE):
-        if members.size < 2 or not rows_m.size:
-            continue
+    for members in several:
         pairs = np.flatnonzero(np.isin(pairing.computed, members))
         if not pairs.size:
             continue

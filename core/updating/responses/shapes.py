@@ -28,9 +28,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from modetune.core.correlation.clusters import paired_clusters, with_neighbours
+from modetune.core.correlation.clusters import paired_clusters
 from modetune.core.correlation.pairing import UNSEEN
-from modetune.core.modes import Floats, Integers, common_dofs
+from modetune.core.modes import CLOSE, Floats, Integers, close_labels, common_dofs
 from modetune.core.updating.responses.response import (
     ModelState,
     Need,
@@ -121,12 +121,12 @@ def clusters(state: ModelState) -> list[PairedCluster]:
     sensors = weighting.sensor_scales(rows_m)[0][:, None]
     test = sensors * np.real(state.test.modes.mode_shapes[rows_m])
     model = sensors * np.real(state.seen.mode_shapes[rows_c])
-    found = []
+    labels, found = close_labels(state.seen.frequencies_hz, CLOSE), []
     for pairs in paired_clusters(
         state.test.modes, state.seen, pairing, weighting.frequency_deviations
     ):
         own, wanted = model[:, pairing.computed[pairs]], test[:, pairing.measured[pairs]]
-        near = with_neighbours(state.seen.frequencies_hz, pairing.computed[pairs])
+        near = (labels[:, None] == labels[pairing.computed[pairs]]).any(axis=1)
         # The sign of a solver's shape is arbitrary.
         signs = np.where(np.sum(own * wanted, axis=0) < 0.0, -1.0, 1.0)
         factors = signs / np.sqrt(np.mean(np.sum(own**2, axis=0)))
