@@ -130,14 +130,19 @@ def dof_name(dof: tuple[int, int]) -> str:
 
 def common_dofs(first: ModeSet, second: ModeSet) -> tuple[Integers, Integers]:
     """Rows of both sets that stand for the same node and component, in first's order."""
-    names_first, names_second = (
-        zip(modes.nodes.tolist(), modes.components.tolist(), strict=True)
-        for modes in (first, second)
-    )
-    place = {dof: row for row, dof in enumerate(names_second)}
-    pairs = [(row, place[dof]) for row, dof in enumerate(names_first) if dof in place]
-    rows = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
+    wanted, there = (7 * modes.nodes + modes.components for modes in (first, second))
+    known, places = places_of(wanted, there)
+    return np.flatnonzero(known), places[known]
+
+
+def places_of(wanted: Integers, there: Integers) -> tuple[NDArray[np.bool_], Integers]:
+    """Whether each number, of any shape, is among others (n,), and its last position there."""
+    if not there.size:
+        return np.zeros(wanted.shape, np.bool_), np.zeros_like(wanted)
+    order = np.argsort(there, kind="stable")
+    last = np.searchsorted(there, wanted, side="right", sorter=order) - 1
+    places = order[np.maximum(last, 0)]
+    return there[places] == wanted, places
 
 
 def close_labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
@@ -149,8 +154,10 @@ def close_labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
     """
     order = np.argsort(frequencies_hz, kind="stable")
     ascending = frequencies_hz[order]
-    widths = np.broadcast_to(width, order.shape)[order]
-    apart = np.diff(ascending) > np.maximum(widths[1:], widths[:-1]) * np.abs(ascending[1:])
+    if np.ndim(width):
+        widths = np.broadcast_to(width, order.shape)[order]
+        width = np.maximum(widths[1:], widths[:-1])
+    apart = ascending[1:] - ascending[:-1] > width * np.abs(ascending[1:])
     labels = np.zeros(order.size, dtype=np.int64)
     labels[order[1:]] = np.cumsum(apart)
     return labels

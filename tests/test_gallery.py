@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.command_line import run_command
 from tests.test_docs import DOCS, tool
 
 printed = tool("printed")
@@ -40,11 +41,12 @@ def test_numbers_are_compared_as_they_are_printed(shown: str, other: str, same: 
 FINE = "$ modetune demo garteur\n"
 
 
+@pytest.mark.filterwarnings("default")  # as a user's commands run
 @pytest.mark.timeout(900)  # a page's commands, one after the other, on a machine that is busy
 @pytest.mark.parametrize("page", ["../README.md", "gallery.md", "bracket.md"])
 def test_a_page_shows_what_is_printed(page: str) -> None:
     short = [block for block in printed.blocks(DOCS / page) if not block.startswith(FINE)]
-    found = list(printed.differences(short))
+    found = list(printed.differences(short, run_command))
     assert not found, "\n".join(map(str, found))
 
 

@@ -17,7 +17,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +26,9 @@ NUMBER = re.compile(r"[-+±]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 #: Allowed difference of numbers: units of their last digit, or a share of themselves.
 UNITS, SHARE = 2, 0.005
 #: Wide enough for every table.
-COLUMNS = "200"
+ENVIRONMENT = {"MODETUNE_NO_PREFECT": "1", "COLUMNS": "200"}
+#: Runs `modetune ARGUMENTS` in a folder, with variables over those of the environment.
+Modetune = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,12 @@ def blocks(page: Path) -> list[str]:
     return BLOCK.findall(page.read_text())
 
 
-def differences(blocks: Iterable[str]) -> Iterator[Difference]:
+def modetune(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run `modetune ARGUMENTS` as a program."""
+    return _program(folder, "-m", "modetune", *arguments, **environment)
+
+
+def differences(blocks: Iterable[str], run: Modetune = modetune) -> Iterator[Difference]:
     """Run the blocks of a page; every shown line that was not printed, after the one before it."""
     with tempfile.TemporaryDirectory(prefix="modetune-page-") as name:
         folder = Path(name)
@@ -55,7 +62,7 @@ def differences(blocks: Iterable[str]) -> Iterator[Difference]:
             for line in block.splitlines():
                 if line.startswith("$ "):
                     command = line[2:]
-                    folder, printed = _run(command, folder)
+                    folder, printed = _run(command, folder, run)
                 elif line.strip() not in ("", "..."):
                     at = next((k for k, other in enumerate(printed) if alike(line, other)), None)
                     if at is None:
@@ -87,7 +94,7 @@ def _last_digit(number: str) -> float:
     return float(10.0 ** (int(exponent or 0) - len(decimals)))
 
 
-def _run(command: str, folder: Path) -> tuple[Path, list[str]]:
+def _run(command: str, folder: Path, run: Modetune) -> tuple[Path, list[str]]:
     """Where the next command runs, and what this one printed."""
     words = shlex.split(command)
     if words[0] == "mkdir":
@@ -95,17 +102,23 @@ def _run(command: str, folder: Path) -> tuple[Path, list[str]]:
         return folder, []
     if words[0] == "cd":
         return folder / words[1], []
-    words = [
-        sys.executable,
-        *(["-m", "modetune", *words[1:]] if words[0] == "modetune" else words[1:]),
-    ]
-    environment = {**os.environ, "MODETUNE_NO_PREFECT": "1", "COLUMNS": COLUMNS}
-    done = subprocess.run(
-        words, cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
+    start = run if words[0] == "modetune" else _program
+    done = start(folder, *words[1:], **ENVIRONMENT)
     if done.returncode not in (0, 3):
         raise RuntimeError(f"$ {command}: exit {done.returncode}\n{done.stderr}")
     return folder, [*done.stderr.splitlines(), *done.stdout.splitlines()]
+
+
+def _program(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run `python ARGUMENTS`."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def _likest(line: str, printed: list[str]) -> str:

@@ -61,14 +61,19 @@ def rotation_to_test(
     if there is nothing to rotate: no paired mode is close to another one, the test cannot split
     them either, or the sensors cannot determine the rotation.
     """
+    several = [item for item in close_sets(computed.frequencies_hz, CLOSE) if item.size > 1]
+    if not several:
+        return None
     rows_m, rows_c = common_dofs(measured, computed)
+    if not rows_m.size:
+        return None
     alike = close_labels(measured.frequencies_hz, resolution)
     one = close_labels(measured.frequencies_hz, FINE * resolution)
     rotation = np.eye(computed.n_modes)
     turned = False
-    for members in close_sets(computed.frequencies_hz, CLOSE):
+    for members in several:
         pairs = np.flatnonzero(np.isin(pairing.computed, members))
-        if members.size < 2 or not pairs.size or not rows_m.size:
+        if not pairs.size:
             continue
         # What the model does not split at all may lie as the test's at no cost.
         repeated = len(close_sets(computed.frequencies_hz[members], 0.5 * REPEATED)) == 1
@@ -103,6 +108,8 @@ def paired_clusters(
         close_labels(computed.frequencies_hz, CLOSE)[pairing.computed],
     )
     n_pairs = pairing.measured.size
+    if all(len(set(side.tolist())) == n_pairs for side in sides):  # each pair is alone
+        return list(np.arange(n_pairs)[:, None])
     first, second = np.nonzero((sides[0][:, None] == sides[0]) | (sides[1][:, None] == sides[1]))
     joined = coo_array((np.ones(first.size), (first, second)), shape=(n_pairs, n_pairs))
     _, labels = connected_components(joined, directed=False)
@@ -112,7 +119,7 @@ def paired_clusters(
 def with_neighbours(frequencies_hz: Floats, modes: Integers) -> Integers:
     """Positions of these modes of a model and of all that are close to them."""
     labels = close_labels(frequencies_hz, CLOSE)
-    return np.flatnonzero(np.isin(labels, labels[modes]))
+    return np.flatnonzero((labels[:, None] == labels[modes]).any(axis=1))
 
 
 def _orthonormal(columns: Floats) -> Floats | None:

@@ -192,8 +192,11 @@ def _cluster_macs(
     shapes_c = without_rounding(computed.rows(rows_c))
     macs, spaces = table[kept, columns], np.zeros(kept.size)
     for pair, column in enumerate(columns.tolist()):
-        cluster = shapes_c[:, close_modes(computed.frequencies_hz, column)]
-        spaces[pair] = _space_or_zero(shapes_m[:, pair], cluster)
+        cluster = close_modes(computed.frequencies_hz, column)
+        if cluster.size > 1:
+            spaces[pair] = _space_or_zero(shapes_m[:, pair], shapes_c[:, cluster])
+        else:  # the space of one shape
+            spaces[pair] = macs[pair]
     widths = np.broadcast_to(resolution, measured.frequencies_hz.shape)[kept]
     for unsplit in close_sets(measured.frequencies_hz[kept], widths):
         if unsplit.size < 2:
@@ -251,9 +254,10 @@ def _likeness(table: Floats, shapes_m: Shapes, shapes_c: Shapes, frequencies_hz:
     every shape, so it shows nothing.
     """
     likeness = table.copy()
-    for column in range(frequencies_hz.size):
-        cluster = close_modes(frequencies_hz, column)
-        if 1 < cluster.size < shapes_c.shape[0]:
+    near = np.abs(frequencies_hz / frequencies_hz[:, None] - 1.0) <= CLUSTER
+    for column in np.flatnonzero(near.sum(axis=1) > 1).tolist():
+        cluster = np.flatnonzero(near[column])
+        if cluster.size < shapes_c.shape[0]:
             spaces = _spaces_or_zero(shapes_m, shapes_c[:, cluster])
             likeness[:, column] += (1.0 - OWN_SHARE) * (spaces - table[:, column])
     return likeness
@@ -486,7 +490,8 @@ def next_pairing(
         previous, elastic = previous.rows(rows_before), elastic.rows(rows_now)
     if not test.has_shapes:
         return pair_by_tracking(pairing, previous, elastic)
-    by_hand = np.isin([test.numbers[row] for row in pairing.measured], list(rules.by_hand))
+    numbers = [test.numbers[row] for row in pairing.measured.tolist()]
+    by_hand = np.array([number in rules.by_hand for number in numbers], dtype=np.bool_)
     hand = _some(pairing, np.flatnonzero(by_hand))
     if hand.measured.size:
         tracked = pair_by_tracking(hand, previous, elastic)
@@ -494,7 +499,7 @@ def next_pairing(
     rows = pairing.measured[~by_hand]
     if not rows.size:
         return hand
-    columns = np.setdiff1d(np.arange(seen.n_modes), hand.computed)
+    columns = np.delete(np.arange(seen.n_modes), hand.computed)
     low, high = rules.reach
     rest = pair_by_shape(
         test.modes.select(rows),

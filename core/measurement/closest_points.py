@@ -94,33 +94,41 @@ class SurfacePoints:
 def closest_of(corners: Floats, places: Floats) -> tuple[Floats, Integers]:
     """Closest points (..., 3) of triangles (..., 3, 3) to places (..., 3), and where they lie.
 
+    Both have the same number of dimensions, of which some may be one.
     0, 1, 2: on the side from that corner to the next; 3: at a corner; 4: inside.
     """
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    best = np.full(np.broadcast_shapes(a.shape, places.shape)[:-1], np.inf)
-    feet = np.zeros((*best.shape, 3))
+    # Components first: sums over three strided numbers take most of the time else.
+    a, b, c = np.ascontiguousarray(np.moveaxis(corners, (-2, -1), (0, 1)))
+    place = np.ascontiguousarray(np.moveaxis(places, -1, 0))
+    best = np.full(np.broadcast_shapes(a.shape, place.shape)[1:], np.inf)
+    feet = np.zeros((3, *best.shape))
     feature = np.full(best.shape, 3)
     for number, (first, second) in enumerate(((a, b), (b, c), (c, a))):
-        along, apart = second - first, places - first
-        length = np.einsum("...i,...i", along, along)
-        part = np.einsum("...i,...i", apart, along) / np.where(length > 0.0, length, 1.0)
+        along = second - first
+        length = _dot(along, along)
+        part = _dot(place - first, along) / np.where(length > 0.0, length, 1.0)
         inside = (part > 0.0) & (part < 1.0)
-        foot = first + np.clip(part, 0.0, 1.0)[..., None] * along
-        square = np.einsum("...i,...i", places - foot, places - foot)
+        foot = first + np.clip(part, 0.0, 1.0) * along
+        away = place - foot
+        square = _dot(away, away)
         nearer = square < best
         best = np.where(nearer, square, best)
-        feet = np.where(nearer[..., None], foot, feet)
+        feet = np.where(nearer, foot, feet)
         feature = np.where(nearer, np.where(inside, number, 3), feature)
-    u, v, w = b - a, c - a, places - a
-    uu, uv, vv = (np.einsum("...i,...i", x, y) for x, y in ((u, u), (u, v), (v, v)))
-    wu, wv = np.einsum("...i,...i", w, u), np.einsum("...i,...i", w, v)
+    u, v, w = b - a, c - a, place - a
+    uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
     area = uu * vv - uv * uv
     flat = area <= 1e-14 * uu * vv  # sides in one line to 1e-7: rounding would decide
     area = np.where(flat, 1.0, area)
     s, t = (wu * vv - wv * uv) / area, (wv * uu - wu * uv) / area
     within = ~flat & (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
-    feet = np.where(within[..., None], a + s[..., None] * u + t[..., None] * v, feet)
-    return feet, np.where(within, 4, feature)
+    feet = np.where(within, a + s * u + t * v, feet)
+    return np.moveaxis(feet, 0, -1), np.where(within, 4, feature)
+
+
+def _dot(first: Floats, second: Floats) -> Floats:
+    """Products (...) of vectors (3, ...)."""
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
 def _free(corners: Floats, feature: Integers) -> Floats:

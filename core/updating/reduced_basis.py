@@ -195,8 +195,6 @@ class ReducedModel:
         inverted, vectors = self._solved(theta)
         if int(modes.max(initial=-1)) >= self.size:
             raise ModesError(f"the reduced model of {self.size} vectors has no mode {modes.max()}")
-        d_lam = np.zeros((modes.size, self.reference.size))
-        d_phi = np.zeros((self.size, modes.size, self.reference.size))
         close = _close(inverted, modes, self.shift)
         if shapes is None:
             shapes = self.modes(theta, int(modes.max()) + 1)[1][:, modes]
@@ -207,23 +205,22 @@ class ReducedModel:
         eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
         apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
         dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
-        for column in range(self.reference.size):
-            stiffness, mass = (
-                sum(
-                    (
-                        part.slope(theta, column) @ phi
-                        for part in parts
-                        if column in columns_of(part)
-                    ),
-                    np.zeros_like(phi),
-                )
-                for parts in (self.stiffness, self.mass)
-            )
-            d_lam[:, column] = np.sum(phi * (stiffness - eigenvalues * mass), axis=0)
-            forces = vectors.T @ (eigenvalues * mass - stiffness)
-            own = -0.5 * np.sum(phi * mass, axis=0) * phi
-            d_phi[:, :, column] = vectors @ (forces * dividing) + own
-        return ModeDerivatives(d_lam, np.tensordot(self.rows, d_phi, axes=1))
+        stiffness, mass = (
+            self._changes(parts, theta, phi) for parts in (self.stiffness, self.mass)
+        )
+        change = stiffness - eigenvalues * mass
+        own = -0.5 * np.sum(phi * mass, axis=1)[:, None, :] * phi
+        d_phi = own - vectors @ (vectors.T @ change * dividing)
+        d_lam = np.sum(phi * change, axis=1)
+        return ModeDerivatives(d_lam.T, np.moveaxis(self.rows @ d_phi, 0, -1))
+
+    def _changes(self, parts: Sequence[ReducedPart], theta: Floats, phi: Floats) -> Floats:
+        """Derivatives of a matrix by each parameter times vectors (r, n), (n_parameters, r, n)."""
+        found = np.zeros((self.reference.size, *phi.shape))
+        for part in parts:
+            for column in columns_of(part):
+                found[column] += part.slope(theta, column) @ phi
+        return found
 
     def _solved(self, theta: Floats) -> tuple[Floats, Floats]:
         """mu (r,), descending, and vectors (r, r) with x^T (K - s M) x = 1."""

@@ -17,8 +17,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from threading import Lock
+from typing import TypeVar
 
 from modetune.core.errors import ModetuneError, SolverCancelled, SolverError, StorageUnavailable
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
@@ -28,6 +30,7 @@ from modetune.flows.jobs.progress import doing
 from modetune.flows.jobs.runner import Task, TaskResult, TaskRun
 
 logger = logging.getLogger(__name__)
+T = TypeVar("T")
 
 #: Before the first success, this many failures of one kind (at different values) end the run.
 FIRST_FAILURES = 3
@@ -132,6 +135,24 @@ class Execution:
         return tuple(engine.outcome(job, solved) for job, solved in found)
 
 
+def on_threads(
+    engine: JobEngine, calls: Sequence[Callable[[], T]], at_once: int, name: str
+) -> list[T]:
+    """Return the results of calls in their order; the first error cancels the engine's work.
+
+    name: of the threads.
+    """
+    with ThreadPoolExecutor(at_once, name) as pool:
+        futures = [pool.submit(copy_context().run, call) for call in calls]
+        try:
+            return [future.result() for future in futures]
+        except BaseException:
+            engine.cancelled.set()
+            for future in futures:
+                future.cancel()
+            raise
+
+
 @dataclass
 class _Feed:
     """Feeds remote or numerous work to the runner, `parallel` at a time.
@@ -147,15 +168,8 @@ class _Feed:
 
     def run(self, works: Sequence[Work]) -> list[Done]:
         engine = self.execution.engine
-        with ThreadPoolExecutor(engine.tasks.runner.parallel, "modetune-feed") as pool:
-            futures = [pool.submit(copy_context().run, self._one, work) for work in works]
-            try:
-                done = [future.result() for future in futures]
-            except BaseException:
-                engine.cancelled.set()
-                for future in futures:
-                    future.cancel()
-                raise
+        calls = [partial(self._one, work) for work in works]
+        done = on_threads(engine, calls, engine.tasks.runner.parallel, "modetune-feed")
         if self.stored:
             with doing(self.iteration):
                 name = f"{len(self.stored)} cached results"

@@ -28,9 +28,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from modetune.core.correlation.clusters import paired_clusters, with_neighbours
+from modetune.core.correlation.clusters import paired_clusters
 from modetune.core.correlation.pairing import UNSEEN
-from modetune.core.modes import Floats, Integers, common_dofs
+from modetune.core.modes import CLOSE, Floats, Integers, close_labels, common_dofs
 from modetune.core.updating.responses.response import (
     ModelState,
     Need,
@@ -108,9 +108,10 @@ class PairedCluster:
     def change(self, changes: Floats) -> Floats:
         """Return derivatives of `away`, (n_sensors, n, k); changes: of all pairs' shapes."""
         change = changes[:, self.pairs] * self.scales[:, :, None]
+        flat = change.reshape(change.shape[0], -1)
         for space in (self.space, self.test):
-            change = change - np.tensordot(space, np.tensordot(space.T, change, axes=1), axes=1)
-        return change
+            flat = flat - space @ (space.T @ flat)
+        return np.asarray(flat.reshape(change.shape))
 
 
 def clusters(state: ModelState) -> list[PairedCluster]:
@@ -120,12 +121,12 @@ def clusters(state: ModelState) -> list[PairedCluster]:
     sensors = weighting.sensor_scales(rows_m)[0][:, None]
     test = sensors * np.real(state.test.modes.mode_shapes[rows_m])
     model = sensors * np.real(state.seen.mode_shapes[rows_c])
-    found = []
+    labels, found = close_labels(state.seen.frequencies_hz, CLOSE), []
     for pairs in paired_clusters(
         state.test.modes, state.seen, pairing, weighting.frequency_deviations
     ):
         own, wanted = model[:, pairing.computed[pairs]], test[:, pairing.measured[pairs]]
-        near = with_neighbours(state.seen.frequencies_hz, pairing.computed[pairs])
+        near = (labels[:, None] == labels[pairing.computed[pairs]]).any(axis=1)
         # The sign of a solver's shape is arbitrary.
         signs = np.where(np.sum(own * wanted, axis=0) < 0.0, -1.0, 1.0)
         factors = signs / np.sqrt(np.mean(np.sum(own**2, axis=0)))
@@ -137,6 +138,8 @@ def clusters(state: ModelState) -> list[PairedCluster]:
 def _space(shapes: Floats) -> Floats:
     """Return an orthonormal basis (n_sensors, k) of shapes of any scale."""
     lengths = np.linalg.norm(shapes, axis=0)
+    if lengths.size == 1:  # most clusters are of one mode
+        return shapes / lengths if lengths[0] > 0.0 else shapes[:, :0]
     left, values, _ = np.linalg.svd(
         shapes / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False
     )

@@ -14,7 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModesError
+from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
 from modetune.core.updating.responses.response import (
     MatricesAt,
@@ -48,6 +50,10 @@ class Static:
     _newest: list[tuple[MatricesAt, Floats, Floats]] = field(
         default_factory=list, repr=False, compare=False
     )
+    #: Loads and readings in terms of these equations, where no load follows the parameters.
+    _fixed: list[tuple[MatrixResult, StaticModel]] = field(
+        default_factory=list, repr=False, compare=False
+    )
 
     def residual(self, state: ModelState) -> Residual:
         measured: Floats = np.array([item.value for item in self.readings])
@@ -74,11 +80,22 @@ class Static:
         for known, values, slopes in self._newest:
             if known.model is given.model and np.array_equal(known.theta, given.theta):
                 return values, slopes
-        base, loads = given.model.base, self.loads(given.theta)
-        model = StaticModel.of(base, self.observe, loads, self.readings, state.mesh)
-        changes = self._changes(given) if any(load.by_mass for load in loads) else {}
+        model, changes = self._model(given, state.mesh)
         self._newest[:] = [(given, *model.values(given.model, given.theta, changes))]
         return self._newest[0][1:]
+
+    def _model(self, given: MatricesAt, mesh: Mesh | None) -> tuple[StaticModel, dict[int, Floats]]:
+        """The model at a set, and the derivatives of its forces by column."""
+        base = given.model.base
+        for known, model in self._fixed:
+            if known is base:
+                return model, {}
+        loads = self.loads(given.theta)
+        model = StaticModel.of(base, self.observe, loads, self.readings, mesh)
+        if any(load.by_mass for load in loads):
+            return model, self._changes(given)
+        self._fixed[:] = [(base, model)]
+        return model, {}
 
     def _changes(self, given: MatricesAt) -> dict[int, Floats]:
         """Derivatives of the forces (n_equations, n_loads) by each parameter that moves masses."""

@@ -13,9 +13,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,6 +29,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
 from modetune.flows.jobs.engine import JobEngine
+from modetune.flows.jobs.execution import on_threads
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.forecast import Progress
@@ -190,20 +189,12 @@ def _validated(
         known = _on_range(campaign, whole) if several else None
         # What is found within one process goes one after another.
         workers = 1 if known else min(len(campaigns), campaign.parallel)
-        with ThreadPoolExecutor(workers, thread_name_prefix="modetune-fold") as pool:
-            futures = []
-            for (number, configuration), one in zip(modes, campaigns, strict=True):
-                unknown = np.full(len(campaign.parameters), np.nan)
-                begun = Fold(number, "failed", "", 0, unknown, None, configuration)
-                fold = partial(_fold, begun, one, engine, working, whole, known)
-                futures.append(pool.submit(copy_context().run, fold))
-            try:
-                done = [future.result() for future in futures]
-            except BaseException:
-                engine.cancelled.set()
-                for future in futures:
-                    future.cancel()
-                raise
+        folds = []
+        for (number, configuration), one in zip(modes, campaigns, strict=True):
+            unknown = np.full(len(campaign.parameters), np.nan)
+            begun = Fold(number, "failed", "", 0, unknown, None, configuration)
+            folds.append(partial(_fold, begun, one, engine, working, whole, known))
+        done = on_threads(engine, folds, workers, "modetune-fold")
         runs = whole.runs
         for _, counted in done:
             runs = runs.plus(replace(counted, core_s=0.0, licence_s=0.0))

@@ -128,7 +128,7 @@ def test_room_that_is_too_small_is_made_larger(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of many multipliers, ordered first, all pivots have to wait."""
-    n = 300
+    n = 150
     rows = np.arange(n)
     ties = sparse.csr_array((np.ones(n), (rows, rows)), shape=(n, n * n))
     upper = tied(whole(grid(n)), ties)

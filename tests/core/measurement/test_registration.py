@@ -178,7 +178,7 @@ def test_closest_points_are_those_of_all_triangles() -> None:
 def test_closest_points_of_a_triangle_by_hand() -> None:
     corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
     places = np.array([[0.5, 0.5, 3], [1, -1, 0], [-1, -1, 0], [2, 2, 1], [3, 0, 0]])
-    feet, where = closest_of(corners, places)
+    feet, where = closest_of(corners[None], places)
     wanted = np.array([[0.5, 0.5, 0], [1, 0, 0], [0, 0, 0], [1, 1, 0], [2, 0, 0]])
     np.testing.assert_allclose(feet, wanted)
     assert where.tolist() == [4, 0, 3, 1, 3]

@@ -29,7 +29,10 @@ def test_a_deployed_campaign_runs_and_reports_when_nothing_changed(site: Site) -
     assert deployed.returncode == 0, deployed.stderr
     summary = json.loads(deployed.stdout)
     assert (summary["deployment"], summary["pool"]) == ("update/six-mass", "modetune")
-    first = site.end(site.due())
+    run = site.due()
+    worked = site.run("server", "worker", "--once")
+    assert (worked.returncode, worked.stdout) == (0, ""), worked.stderr
+    first = site.state(run)
     assert (first["name"], first["state_name"]) == ("six-mass", "Converged, trusted")
     of_run = {"flow_run_id": {"any_": [first["id"]]}}
     found = site.ask("/artifacts/filter", {"artifacts": of_run})
@@ -120,7 +123,10 @@ def _is_deployed(site: Site) -> bool:
 )
 def test_a_schedule_that_is_not_valid_is_one_sentence(site: Site, schedule: list[str]) -> None:
     for command in ("deploy", "serve"):
-        result = site.run("server", command, "campaign.yaml", *schedule)
+        words = ("server", command, "campaign.yaml", *schedule)
+        result = run_command(
+            site.folder, *words, MODETUNE_HOME=str(site.base), MODETUNE_NO_PREFECT="0"
+        )
         assert result.returncode == 2
         assert result.stderr.startswith("modetune: the schedule ")
         assert result.stderr.count("\n") == 1

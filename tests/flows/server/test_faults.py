@@ -164,6 +164,18 @@ def updated(bench: Bench, prefect: Any = "start") -> tuple[Any, float]:
     return end, time.monotonic() - began
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, float]:
+    """The end of an update without Prefect, and its seconds."""
+    bench = Bench(tmp_path_factory.mktemp("alone"))
+    bench.script({})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(process.HOME_VARIABLE, str(bench.folder / "home"))
+        end, wall_s = updated(bench, "off")
+    assert not end.remark
+    return end, wall_s
+
+
 def ours(threads: set[threading.Thread]) -> set[str]:
     """Threads of modetune; others are connections of this test."""
     return {thread.name for thread in threads if thread.name.startswith(("modetune", "prefect"))}
@@ -176,21 +188,22 @@ def check_same(end: Any, plain: Any) -> None:
 
 @pytest.mark.parametrize("state", STATES, ids=lambda state: state.__qualname__.partition(".")[0])
 def test_what_answers_in_a_servers_place_changes_no_result(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, state: Callable[[socket.socket, bytes], None]
+    bench: Bench,
+    alone: tuple[Any, float],
+    monkeypatch: pytest.MonkeyPatch,
+    state: Callable[[socket.socket, bytes], None],
 ) -> None:
     for name in HIDDEN:
         monkeypatch.delenv(name, raising=False)
-    plain, plain_s = updated(bench, "off")
-    assert not plain.remark
     with listening(state) as url:
         monkeypatch.setenv("PREFECT_API_URL", url)
         monkeypatch.setenv("HTTP_PROXY", "http://192.0.2.1:3128")  # nobody has this address
         before = set(threading.enumerate())
         end, wall_s = updated(bench)
         assert eventually(lambda: not ours(set(threading.enumerate()) - before), 5.0)
-    check_same(end, plain)
+    check_same(end, alone[0])
     assert end.remark.startswith(("run without Prefect: ", LOST))
-    assert wall_s < BUSY * plain_s + allowed(LATER_S)
+    assert wall_s < BUSY * alone[1] + allowed(LATER_S)
 
 
 def test_a_server_that_answers_but_writes_nothing_does_not_get_the_end_of_a_run() -> None:
@@ -210,15 +223,14 @@ def test_a_login_that_is_asked_for_is_named_with_its_remedy(
 
 
 def test_a_home_that_cannot_be_used_changes_no_result(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, alone: tuple[Any, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("PREFECT_API_URL", raising=False)
-    plain, _ = updated(bench, "off")
     (bench.folder / "file").write_text("not a folder")
     unusable = bench.folder / "file" / "home"
     monkeypatch.setattr(process, "server_home", lambda: unusable)
     end, _ = updated(bench)
-    check_same(end, plain)
+    check_same(end, alone[0])
     assert end.remark.startswith("run without Prefect: ")
 
 

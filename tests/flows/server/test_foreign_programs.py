@@ -22,6 +22,7 @@ from tests.flows.server.site import GOOD, Site
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     site = Site(tmp_path_factory.mktemp("site"))
     yield site
+    site.end_started()
     process.stop_server(site.home)
 
 

@@ -38,8 +38,8 @@ pytestmark = needs_ccx
 
 
 def record_of(file: Path, folder: Path, watcher: Any, *settings: str) -> CampaignRecord:
-    stored = f"store={folder / 'store'}"
-    return updated(load_campaign(file, [stored, STORED, *settings]), folder, watcher)
+    own = f"store={folder / 'store'}", "update.starts=1"
+    return updated(load_campaign(file, [*own, STORED, *settings]), folder, watcher)
 
 
 def long_bar() -> Case:

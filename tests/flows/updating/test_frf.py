@@ -268,7 +268,7 @@ parameters:
 residuals:
   frequency_weight: 0.0
   frf: {damping: 0.01, deviation: 0.02, frac: 0.999}
-update: {e1: {frequency: 1.0e-4}}
+update: {e1: {frequency: 1.0e-4}, starts: 1}
 """
 
 

@@ -23,6 +23,7 @@ residuals:
   static:
     cases:
 {cases}
+update: {{starts: 1}}
 report: {{page: false}}
 """
 

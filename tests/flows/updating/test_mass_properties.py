@@ -199,6 +199,7 @@ residuals:
   mass_properties:
     mass: {target: 5.0e-6, deviation: 1.0e-9}
     centre_x: {target: 21.5, deviation: 1.0e-4}
+update: {starts: 1}
 report: {page: false}
 """
 
