@@ -324,15 +324,18 @@ def localise(
     campaign: CampaignLike,
     *,
     record: StrPath | CampaignRun | None = None,
+    state: ModelState | None = None,
     configuration: str | None = None,
     figures: StrPath | None = None,
+    runs: StrPath = "runs",
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
 ) -> Localisation:
-    """Locate modelling errors of the initial model, or of the updated one of a record.
+    """Locate modelling errors of the updated model, or of the initial one without an update.
 
-    configuration: name of the one to examine, if the campaign has several.
+    record: run whose updated model to examine, by default that of the campaign in `runs`. state:
+    examine this model. configuration: name of the one to examine, if the campaign has several.
     """
     found: Localisation = _found("localise", locals())
     return found
