@@ -188,7 +188,7 @@ class GroupErrors:
     kinetic: Floats
     at_bound: NDArray[np.bool_]
     condition: float
-    stability: Stability
+    stability: JackknifeRanking
 
     @property
     def ranking(self) -> Integers:
