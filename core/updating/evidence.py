@@ -80,7 +80,7 @@ def _within_box(
     bounds = box / widths[:, None] - mean[:, None]
     top = 0.5 * (float(mean @ scaled @ mean) - misfit)
     volume = 0.5 * (n * np.log(2.0 * np.pi) - np.linalg.slogdet(scaled)[1])
-    return top + volume + _log_probability(0.5 * (covariance + covariance.T), bounds)
+    return float(top + volume + _log_probability(0.5 * (covariance + covariance.T), bounds))
 
 
 def _log_probability(covariance: Floats, bounds: Floats) -> float:

@@ -35,6 +35,7 @@ from modetune.flows.studies.localise.localisation import (
     localise,
     one_model,
 )
+from modetune.flows.studies.study import ModelState
 from modetune.flows.updating.mode_source import campaign_analysis
 from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
@@ -145,7 +146,9 @@ def test_the_newest_run_is_examined_unless_another_state_is_named(
     assert before.theta is None
     assert "forecast" in before.remarks[0]
     record = update_campaign(campaign, run, watcher).record
-    for path, named in ((None, None), (None, "updated"), (run, None), (run / "campaign.h5", None)):
+    ways: list[tuple[Path | None, ModelState | None]]
+    ways = [(None, None), (None, "updated"), (run, None), (run / "campaign.h5", None)]
+    for path, named in ways:
         state = examined_state(campaign, path, named, tmp_path / "other" if path else run)
         assert state.theta == pytest.approx(record.updated)
         assert state.text == f"the end of the update in {path or run}"
