@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from modetune.core.updating.job_results import ModalResult
     from modetune.core.updating.verdict import FailOn
     from modetune.flows.studies.check.pre_check import PreCheckReport
+    from modetune.flows.studies.compare.competing_models import ModelChoice
     from modetune.flows.studies.correlate.correlation import Correlation
     from modetune.flows.studies.correlate.request import MassReduction
     from modetune.flows.studies.direct.correction import DirectCorrection
@@ -324,17 +325,36 @@ def localise(
     campaign: CampaignLike,
     *,
     record: StrPath | CampaignRun | None = None,
+    state: ModelState | None = None,
     configuration: str | None = None,
     figures: StrPath | None = None,
+    runs: StrPath = "runs",
     settings: Settings = (),
     progress: bool = False,
     prefect: bool = False,
 ) -> Localisation:
-    """Locate modelling errors of the initial model, or of the updated one of a record.
+    """Locate modelling errors of the updated model, or of the initial one without an update.
 
-    configuration: name of the one to examine, if the campaign has several.
+    record: run whose updated model to examine, by default that of the campaign in `runs`. state:
+    examine this model. configuration: name of the one to examine, if the campaign has several.
     """
     found: Localisation = _found("localise", locals())
+    return found
+
+
+def compare(
+    campaigns: Paths,
+    runs: StrPath = "runs",
+    *,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> ModelChoice:
+    """Compare models of one test by their evidence, and find what would decide between them.
+
+    campaigns: files of campaigns, each updated unless its folder in `runs` has the update.
+    """
+    found: ModelChoice = _found("compare", locals())
     return found
 
 

@@ -10,10 +10,11 @@ from modetune.adapters.solver import AddedCards, Addition
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.modes import Floats
-from modetune.core.parameters import Quantity
+from modetune.core.parameters import Quantity, TargetKind
 
 #: What names of added sets begin with.
 NAME = "MODETUNE_ADDED"
+ELSET: TargetKind = "elset"
 
 
 def with_addition(structure: CalculixStructure, mesh: Mesh, addition: Addition) -> AddedCards:
@@ -58,8 +59,8 @@ def with_addition(structure: CalculixStructure, mesh: Mesh, addition: Addition) 
         lines.append(f"{addition.values[-1]:.9g}")
         parts.append(("spring_stiffness", name, addition.values[-1]))
     text = text_with(deck.file, line.number, lines)
-    numbers = tuple((quantity, "elset", (name,), value) for quantity, name, value in parts)
-    return AddedCards(text, tuple(lines), numbers)
+    numbers = [(quantity, ELSET, (name,), value) for quantity, name, value in parts]
+    return AddedCards(text, tuple(lines), tuple(numbers))
 
 
 def _taken(names: set[str], number: int) -> bool:

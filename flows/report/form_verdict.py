@@ -57,6 +57,10 @@ def residual_form(
     return form, tuple(f"the {label}" for label, on in labels if on)
 
 
+#: Ends the sentence of an update that suspects an error.
+WHERE = " `modetune localise` shows where."
+
+
 @dataclass(frozen=True, slots=True)
 class FormVerdict:
     """The test for model-form error, the labels of the residuals in it, and a sentence."""
@@ -94,7 +98,7 @@ def record_verdict(record: CampaignRecord) -> FormVerdict | None:
     )
     text = model_form_sentence(form, labels, record.parameters.names, updated=True)
     if form.suspected:
-        text += " `modetune localise` shows where."
+        text += WHERE
     return FormVerdict(form, labels, text)
 
 

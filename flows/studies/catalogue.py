@@ -22,6 +22,7 @@ STUDIES = {
     "screen": ("screen.study", STUDY),
     "localise": ("localise.study", STUDY),
     "update": ("update", DAY),
+    "compare": ("compare.study", STUDY),
     "expand": ("expand.study", MODEL),
     "reduce": ("reduce.study", MODEL),
     "direct": ("direct.study", MODEL),

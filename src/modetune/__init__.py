@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from modetune.core.errors import ModetuneError
     from modetune.flows.api import (
         check,
+        compare,
         correlate,
         direct,
         expand,
@@ -49,6 +50,7 @@ __all__ = [
     "CampaignRun",
     "ModetuneError",
     "check",
+    "compare",
     "correlate",
     "direct",
     "expand",

@@ -17,7 +17,7 @@ from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.studies.localise.error_maps import OTHER_STIFFNESS
-from modetune.flows.studies.localise.localisation import localise
+from modetune.flows.studies.localise.localisation import ExaminedState, localise
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.update import update_campaign
 
@@ -111,7 +111,7 @@ def test_another_model_is_met_as_far_as_the_thesis_meets_its_test(
     # the error's strain is largest where the truth has pads: between beam and fitting, 300 mm high,
     # |x| below 100 mm. The bottom plate lies on the fitting as far as 150 mm, plus an element.
     campaign = loaded(folder, "launcher")
-    found = localise(campaign, record.updated)
+    found = localise(campaign, ExaminedState(record.updated))
     assert (found.runs.modal, found.runs.sensitivity) == (0, 0)
     assert found.maps is not None
     errors, groups = found.maps.errors, found.maps.groups

@@ -70,7 +70,7 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
                 raise ModelError(f"{case.solver.deck.summary.name} has no deck to add cards to")
             decks.setdefault(file.resolve(), case.solver.deck.with_cards(added))
         numbers = next(iter(decks.values())).numbers
-        entries = [_entry(campaign, (value, *what, 0)) for *what, value in numbers]
+        entries = [_entry(campaign, (value, q, by, names, 0)) for q, by, names, value in numbers]
     files = {file: file.with_name(f"{out.stem}_{file.name}") for file in decks}
     for file in files.values():
         if file.exists():

@@ -102,9 +102,9 @@ def case_model(
     own, deck = state.campaign.parameters, state.case.solver.deck
     if quantities:
         deck = deck.with_parameters(tuple(quantities))
-        solver = replace(state.case.solver, deck=deck)
-        engine = replace(state.engine, plans=Plans(solver), order=None)
-        state = replace(state, case=replace(state.case, solver=solver), engine=engine)
+        bound = replace(state.case.solver, deck=deck)
+        engine = replace(state.engine, plans=Plans(bound), order=None)
+        state = replace(state, case=replace(state.case, solver=bound), engine=engine)
     parameters = ParameterSet((*own.parameters, *quantities), own.dependents)
     source = MatrixSource(state.engine, parameters, campaign.sensitivity.step)
     theta = np.concatenate([part.theta, np.ones(len(quantities))])

@@ -7,18 +7,21 @@ and one of mass. The maps themselves are `core/updating/localisation`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from modetune.core.algebra.eigen import solve_modes
 from modetune.core.algebra.matrices import MatrixResult, symmetric
 from modetune.core.errors import ModesError
 from modetune.core.mesh import Mesh, global_shapes, node_strains
-from modetune.core.modes import Floats, Integers, common_dofs, mode_set
+from modetune.core.modes import Floats, Integers, common_dofs, dof_name, mode_set
+from modetune.core.parameters import ParameterSet
+from modetune.core.updating.localisation import ROUNDING as FIELD_ROUNDING
 from modetune.core.updating.localisation import (
     ErrorFields,
     Group,
@@ -41,6 +44,8 @@ OTHER_STIFFNESS, OTHER_MASS = "other stiffness", "other mass"
 ROUNDING = 1e-6
 #: Unknowns up to which maps are made: the system of one mode has twice as many.
 MOST_UNKNOWNS = 400_000
+#: Sensors that are left out one at a time, and values of fields that these may take together.
+LEFT_OUT, FEWEST, MOST_VALUES = 24, 3, 10_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +54,10 @@ class ErrorMaps:
 
     groups: names, those of parameters first; errors: of the groups; nodes: residual forces by
     nodes; mesh_nodes: (n_mesh_nodes,), and strains there of the error's field, the largest being 1;
-    misfits: (n_pairs,), relative distance of each test shape from its field.
+    misfits: (n_pairs,), relative distance of each test shape from its field; conditions,
+    roundings: (n_pairs,), of the systems of the fields, and the errors that are left of them.
+    spoiled: (n_pairs,), modes that rounding excludes from the maps. sensors: names of the sensors
+    that were left out one at a time.
     """
 
     groups: tuple[str, ...]
@@ -58,6 +66,17 @@ class ErrorMaps:
     mesh_nodes: Integers
     strains: Floats
     misfits: Floats
+    conditions: Floats
+    roundings: Floats
+    spoiled: NDArray[np.bool_]
+    sensors: tuple[str, ...]
+
+    @property
+    def upsets(self) -> tuple[str, ...]:
+        """Return the names of sensors without which another group ranks first."""
+        found = self.errors.stability
+        places = {row: place for place, row in enumerate(found.left_out.tolist())}
+        return tuple(self.sensors[places[row]] for row in found.upsets.tolist())
 
 
 def why_no_maps(campaign: Campaign) -> str:
@@ -93,15 +112,35 @@ def error_maps(
             f"maps are made of models of up to {MOST_UNKNOWNS:,} unknowns; this one has {size:,}",
         )
     base = model.at(source.written(theta))
-    groups = _groups(base, campaign.parameters.names, source.written(theta), model)
-    fields, computed = _fields(campaign, evaluation, base)
+    groups = _groups(base, campaign.parameters, source.written(theta), model)
+    found, computed, sensors = _fields(campaign, evaluation, base)
+    spoiled = found.roundings > FIELD_ROUNDING
+    if spoiled.all():
+        return None, (
+            "the expansion of the test's shapes has condition number "
+            f"{found.conditions.min():.0e}: rounding leaves no digit of it; look for "
+            " extremely stiff springs or bars in the deck"
+        )
+    fields, computed = found.select(~spoiled), computed[:, ~spoiled]
     errors = group_errors(fields, base.stiffness, base.mass, groups, computed)
     nodes = node_errors(fields, base.nodes, base.components)
     named = tuple(group.name for group in groups)
     deck = campaign.case.solver.deck
     mesh = deck.mesh()
     strains = _strains(mesh, fields, partial(deck.observation, base))
-    return ErrorMaps(named, errors, nodes, mesh.nodes, strains, fields.misfits), ""
+    maps = ErrorMaps(
+        named,
+        errors,
+        nodes,
+        mesh.nodes,
+        strains,
+        found.misfits,
+        found.conditions,
+        found.roundings,
+        spoiled,
+        sensors,
+    )
+    return maps, ""
 
 
 def _strains(
@@ -118,13 +157,14 @@ def _strains(
 
 
 def _groups(
-    base: MatrixResult, names: Sequence[str], theta: Floats, model: ParameterMatrices
+    base: MatrixResult, parameters: ParameterSet, theta: Floats, model: ParameterMatrices
 ) -> list[Group]:
     """What each parameter scales, and what none does."""
     groups = []
-    for column, (name, value) in enumerate(zip(names, theta.tolist(), strict=True)):
-        stiffness, mass = (symmetric(value * upper) for upper in model.change(theta, column))
-        groups.append(Group(name, stiffness, mass))
+    lower, upper = parameters.lower / theta - 1.0, parameters.upper / theta - 1.0
+    for column, (name, value) in enumerate(zip(parameters.names, theta.tolist(), strict=True)):
+        stiffness, mass = (symmetric(value * part) for part in model.change(theta, column))
+        groups.append(Group(name, stiffness, mass, float(lower[column]), float(upper[column])))
     stiffness, mass = base.stiffness, base.mass
     for group in groups:
         stiffness, mass = stiffness - group.stiffness, mass - group.mass
@@ -144,8 +184,9 @@ def _weighty(part: sparse.csr_array, whole: sparse.csr_array) -> bool:
 
 def _fields(
     campaign: Campaign, evaluation: CaseEvaluation, base: MatrixResult
-) -> tuple[ErrorFields, Floats]:
-    """Fields of the test's modes, and the matrices' own modes that answer them, (n, n_pairs)."""
+) -> tuple[ErrorFields, Floats, tuple[str, ...]]:
+    """Fields of the test's modes, and the matrices' own modes that answer them, (n, n_pairs), and
+    the names of sensors that were left out one at a time."""
     test, seen, pairing = campaign.test.modes, evaluation.seen, evaluation.pairing
     rows_m, rows_c = common_dofs(test, seen)
     deck = campaign.case.solver.deck
@@ -165,6 +206,9 @@ def _fields(
     shift = -0.1 * float(evaluation.modal.elastic.eigenvalues[0])
     count = min(evaluation.modal.modes.n_modes, base.nodes.size)
     _, shapes = solve_modes(base.stiffness, base.mass, count, shift=shift)
+    # The sensors with the largest readings have the most influence.
+    most = np.argsort(-np.sum(measured**2 / lengths, axis=1), kind="stable")
+    left_out = most[: _number_left_out(rows_m.size, base.nodes.size, pairing.measured.size)]
     fields = error_fields(
         base.stiffness,
         base.mass,
@@ -172,5 +216,14 @@ def _fields(
         measured,
         observed.matrix[rows_c].multiply(scales).tocsr(),
         weighting.shape_deviations[pairing.measured],
+        left_out=left_out.tolist(),
     )
-    return fields, shapes[:, pairing.computed + n_rigid]
+    own = test.nodes[rows_m[left_out]].tolist(), test.components[rows_m[left_out]].tolist()
+    sensors = tuple(dof_name(dof) for dof in zip(*own, strict=True))
+    return fields, shapes[:, pairing.computed + n_rigid], sensors
+
+
+def _number_left_out(n_sensors: int, n: int, n_modes: int) -> int:
+    """Return how many sensors to leave out one at a time; none where that is too expensive."""
+    number = min(LEFT_OUT, MOST_VALUES // max(n * n_modes, 1))
+    return min(number, n_sensors) if number >= FEWEST and n_sensors > FEWEST else 0

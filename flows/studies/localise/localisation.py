@@ -6,31 +6,51 @@ test's modes, see `core/updating/localisation`), and whether any admissible para
 the residual at all (`core/updating/model_form`). Maps need measured shapes, and a solver whose
 matrices have their unknowns at the model's nodes; without them the result has the other two and
 the reason.
+
+The state that is examined is the end of the newest update in the campaign's run folder, and there
+the test for model-form error is the verdict of its record, so that `modetune update` and this
+command state the same numbers. Without an update it is the campaign's start, and a forecast.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.modes import Floats
-from modetune.core.storage.campaign_record import RunCounts, read_record
+from modetune.core.storage.campaign_record import (
+    CAMPAIGN,
+    CampaignRecord,
+    RunCounts,
+    read_record,
+)
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.report.form_verdict import residual_form
+from modetune.flows.report.form_verdict import (
+    WHERE,
+    FormVerdict,
+    record_verdict,
+    residual_form,
+)
 from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, why_no_maps
 from modetune.flows.studies.localise.proposals import Proposals, proposals
+from modetune.flows.studies.result import near
+from modetune.flows.studies.study import ModelState
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.sensitivities import UnlikeMatrices
+
+CHANGED = "the campaign file has changed since this update: `modetune update` brings it up to date"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -39,9 +59,10 @@ class Localisation:
 
     parameters: names; theta: (n_parameters,), the values that were looked at. modes: numbers of
     the test's modes, in the order of the pairs. singles, pairs: what parameters remove of the
-    residual, the best first. form: the test for model-form error; labels: of its entries;
-    updated: whether it is a verdict on the updated model. maps: None where they cannot be made,
-    and why_no_maps says why; proposals and why_no_proposals likewise. runs: what it cost.
+    residual, the best first. verdict: the test for model-form error; updated: whether it is a
+    verdict on the updated model. examined: which state, in words. remarks: on that choice. maps:
+    None where they cannot be made, and why_no_maps says why; proposals and why_no_proposals
+    likewise. runs: what it cost.
     """
 
     parameters: tuple[str, ...]
@@ -49,9 +70,10 @@ class Localisation:
     modes: tuple[int, ...]
     singles: tuple[Removal, ...]
     pairs: tuple[Removal, ...]
-    form: ModelForm
-    labels: tuple[str, ...]
+    verdict: FormVerdict
     updated: bool
+    examined: str
+    remarks: tuple[str, ...]
     maps: ErrorMaps | None
     why_no_maps: str
     runs: RunCounts
@@ -61,23 +83,88 @@ class Localisation:
     __repr__ = brief
 
     @property
+    def form(self) -> ModelForm:
+        """The test for model-form error."""
+        return self.verdict.form
+
+    @property
     def sentence(self) -> str:
         """What the test for model-form error says."""
-        return model_form_sentence(self.form, self.labels, self.parameters, self.updated)
+        return self.verdict.sentence
 
 
-def one_model(
-    campaign: Campaign, record: Path | None, configuration: str | None
-) -> tuple[Campaign, Floats | None]:
-    """Return a campaign of one model and the values of its parameters, None at its start.
+@dataclass(frozen=True, slots=True)
+class ExaminedState:
+    """Where in a campaign to look for errors.
 
-    record: run folder or campaign.h5; configuration: name of one, where there are several.
-    Raises CampaignError where these are not of the campaign; StoreError.
+    theta: (n_parameters,), where an update ended; None at the campaign's start. verdict: of that
+    update's record, None where it has none. text: the state in words. remarks: on the choice.
     """
-    theta = None if record is None else _updated_values(campaign, record)
+
+    theta: Floats | None = None
+    verdict: FormVerdict | None = None
+    text: str = "the campaign's start"
+    remarks: tuple[str, ...] = ()
+
+
+def examined_state(
+    campaign: Campaign, record: Path | None, state: ModelState | None, folder: Path
+) -> ExaminedState:
+    """Return the state to examine: what is named, else the end of the update, else the start.
+
+    record: run folder or campaign.h5; folder: the campaign's run folder. Raises CampaignError
+    where the record is of another campaign or there is none, StoreError.
+    """
+    if state == "initial":
+        if record is not None:
+            raise CampaignError("--record names an updated model, and --state initial the start")
+        return ExaminedState()
+    path = folder if record is None else record
+    if record is None and not (folder / CAMPAIGN.file).is_file():
+        if state == "updated":
+            raise CampaignError(
+                f"{campaign.file}: --state updated: there is no update in {folder}; run `modetune "
+                "update`, or name a run folder with --record"
+            )
+        return ExaminedState(
+            remarks=("there is no update of this campaign yet: this is a forecast from its start",)
+        )
+    found = read_record(path)
+    own, there = campaign.parameters.names, found.parameters.names
+    other = (
+        f"{path} has the parameters {', '.join(there)}, but {campaign.file} has {', '.join(own)}"
+    )
+    if own != there and (record is not None or state == "updated"):
+        raise CampaignError(f"{other}; name the record of this campaign")
+    if own != there:
+        return ExaminedState(remarks=(f"the campaign's start, because {other}",))
+    text, remarks = f"the end of the update in {near(path)}", list[str]()
+    if found.campaign_text != campaign.text:
+        remarks.append(CHANGED)
+    if not _same_test(campaign, found):
+        remarks.append("this update had another test than the campaign has now")
+        return ExaminedState(found.updated, None, text, tuple(remarks))
+    verdict = record_verdict(found)
+    if verdict is not None:
+        verdict = replace(verdict, sentence=verdict.sentence.removesuffix(WHERE))
+    return ExaminedState(found.updated, verdict, text, tuple(remarks))
+
+
+def _same_test(campaign: Campaign, record: CampaignRecord) -> bool:
+    one, other = campaign.test, record.test
+    return one.numbers == other.numbers and np.array_equal(
+        one.modes.frequencies_hz, other.modes.frequencies_hz
+    )
+
+
+def one_model(campaign: Campaign, configuration: str | None) -> Campaign:
+    """Return a campaign of one model: itself, or one of its configurations.
+
+    Raises CampaignError where there is no such configuration.
+    """
     names = [item.name for item in campaign.cases if item.name]
     if configuration is None and not names:
-        return campaign, theta
+        return campaign
     if configuration not in names:
         there = f"there is {', '.join(names)}" if names else "the campaign has none"
         text = "none is named" if configuration is None else repr(configuration)
@@ -85,36 +172,27 @@ def one_model(
             f"{campaign.file}: --configuration: name one of the campaign's configurations; {text}, "
             f"{there}"
         )
-    case = campaign.cases[names.index(configuration)]
-    columns = slice(None) if case.columns is None else list(case.columns)
-    return campaign.alone(case), None if theta is None else theta[columns]
-
-
-def _updated_values(campaign: Campaign, path: Path) -> Floats:
-    record = read_record(path)
-    if record.parameters.names != campaign.parameters.names:
-        raise CampaignError(
-            f"{path} has the parameters {', '.join(record.parameters.names)}, but {campaign.file} "
-            f"has {', '.join(campaign.parameters.names)}; name the record of this campaign"
-        )
-    return record.updated
+    return campaign.alone(campaign.cases[names.index(configuration)])
 
 
 def localise(
     campaign: Campaign,
-    theta: Floats | None = None,
-    changes: bool = True,
+    state: ExaminedState = ExaminedState(),
+    configuration: str | None = None,
+    changes: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Localisation:
-    """Look for the error at parameter values, at the campaign's start if left out.
+    """Look for the error in a state of a campaign.
 
-    theta: (n_parameters,), values that updating ended on; the test for model-form error is then a
-    verdict, not a forecast. changes: whether to look for changes that the model lacks; tell: is
-    called with the progress of that.
-    Raises ModesError, SolverError, StoreError.
+    configuration: name of one, where there are several. changes: whether to look for changes that
+    the model lacks; tell: is called with the progress of that. Raises CampaignError, ModesError,
+    SolverError, StoreError.
     """
-    updated = theta is not None
-    values = campaign.start if theta is None else theta
+    whole, campaign = campaign, one_model(campaign, configuration)
+    updated = state.theta is not None
+    values = campaign.start if state.theta is None else state.theta
+    if values.size != len(campaign.parameters):
+        values = values[[whole.parameters.names.index(name) for name in campaign.parameters.names]]
     with solving_engine(campaign) as engine:
         why = why_no_maps(campaign)
         demand = Demand(steps=1, matrices=not why)
@@ -139,23 +217,28 @@ def localise(
         campaign.parameters.lower - values,
         campaign.parameters.upper - values,
     )
-    form, labels = residual_form(
-        matrix.values,
-        found,
-        campaign.parameters,
-        values,
-        least=0.0 if updated else FORECAST,
-        prior=campaign.precision(values) if campaign.fields else None,
-    )
+    verdict = state.verdict
+    if verdict is None:
+        form, labels = residual_form(
+            matrix.values,
+            found,
+            campaign.parameters,
+            values,
+            least=0.0 if updated else FORECAST,
+            prior=campaign.precision(values) if campaign.fields else None,
+        )
+        text = model_form_sentence(form, labels, campaign.parameters.names, updated)
+        verdict = FormVerdict(form, labels, text)
     return Localisation(
         parameters=campaign.parameters.names,
         theta=values,
         modes=numbers,
         singles=singles,
         pairs=pairs,
-        form=form,
-        labels=labels,
+        verdict=verdict,
         updated=updated,
+        examined=state.text,
+        remarks=state.remarks,
         maps=maps,
         why_no_maps=why,
         runs=evaluator.runs,

@@ -254,8 +254,8 @@ class ChangeSearch:
         kinds = Counter(change.kind for change in changes)
         prior = np.array([0.5 / len(kinds) / kinds[change.kind] for change in changes])
         chances = probabilities([*logs, 0.0], np.append(prior, 0.5))
-        found = tuple(self._proposals(changes, refined, logs, chances, scale, np.log(prior)))
-        return Proposals(found, self.misfit, self.freedom, scale, float(chances[-1]), len(changes))
+        best = tuple(self._proposals(changes, refined, logs, chances, scale, np.log(prior)))
+        return Proposals(best, self.misfit, self.freedom, scale, float(chances[-1]), len(changes))
 
     def _proposals(
         self,

@@ -7,13 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from modetune.core.errors import CampaignError
+from modetune.core.near_names import listed
 from modetune.core.storage.keys import Json
 from modetune.flows.report.tables import Column, Table, json_object, table_of
 from modetune.flows.studies.result import StudyResult, near
-from modetune.flows.studies.study import CampaignOptions, Figures, StudyContext, study
+from modetune.flows.studies.study import (
+    CampaignOptions,
+    Figures,
+    ModelState,
+    Runs,
+    StudyContext,
+    study,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,6 +48,10 @@ class LocaliseOptions(CampaignOptions):
     """Options of the localisation, which draws figures."""
 
     figures: Figures = None
+    runs: Runs = Path("runs")
+
+    def folder(self, campaign: Campaign) -> Path:
+        return self.runs / campaign.name
 
 
 @study(LocaliseOptions)
@@ -47,6 +60,13 @@ def localise(
     record: Annotated[
         Path | None,
         typer.Option(help="Run folder or campaign.h5 whose updated model to examine."),
+    ] = None,
+    state: Annotated[
+        ModelState | None,
+        typer.Option(
+            help="Model to examine; default: updated, as the run folder has it, or initial where "
+            "there is no update yet."
+        ),
     ] = None,
     configuration: Annotated[
         str | None, typer.Option(help="Configuration to examine, if the campaign has several.")
@@ -66,12 +86,12 @@ def localise(
 ) -> StudyResult:
     """Locate modelling errors, and propose changes of the model that remove them.
 
-    Examines the campaign's initial model, or with --record the updated one: maps of the error, what
-    parameters can remove, whether any can remove all, and masses, springs and absorbers that the
-    model may lack. --apply 1 --out FILE writes the first of these into a new deck and campaign.
+    Examines the updated model, or the initial one where there is no update yet: maps of the error,
+    what parameters can remove, whether any can remove all, and masses, springs and absorbers that
+    the model may lack. --apply 1 --out FILE writes the first of these into a new deck and campaign.
     """
+    from modetune.flows.studies.localise.localisation import examined_state, one_model
     from modetune.flows.studies.localise.localisation import localise as find
-    from modetune.flows.studies.localise.localisation import one_model
 
     if (apply is None) != (out is None):
         raise CampaignError("--apply and --out go together: `--apply 1 --out new_campaign.yaml`")
@@ -81,14 +101,15 @@ def localise(
         from modetune.flows.studies.localise.apply import check_place
 
         check_place(on.campaign, out)
-    campaign, theta = one_model(on.campaign, record, configuration)
-    on.working("modes and sensitivities")
-    found = find(campaign, theta, changes, on.working)
+    examined = examined_state(on.campaign, record, state, on.folder)
+    on.working(f"modes and sensitivities at {examined.text}")
+    found = find(on.campaign, examined, configuration, changes, on.working)
+    campaign = one_model(on.campaign, configuration)
     charts: Mapping[str, Chart | Figure] = {}
     if on.charted:
         from modetune.flows.studies.localise.figures import localisation_figures
 
-        model = "updated" if record else "initial"
+        model = "updated" if found.updated else "initial"
         title = f"{on.campaign.name}: where the {model} model is wrong"
         mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
         charts = localisation_figures(title, found, mesh, surface)
@@ -128,10 +149,10 @@ def summary(found: Localisation, mesh: Mesh) -> dict[str, Json]:
     values = zip(found.parameters, found.theta.tolist(), strict=True)
     return json_object(
         found,
-        "modes why_no_maps why_no_proposals",
+        "modes why_no_maps why_no_proposals examined updated remarks",
         status="done",
         parameters=[{"name": name, "value": value} for name, value in values],
-        model_form=form_json(found.form, found.labels, found.sentence),
+        model_form=form_json(found.form, found.verdict.labels, found.sentence),
         singles=_removals(found, found.singles),
         pairs=_removals(found, found.pairs),
         maps=None if found.maps is None else _maps_json(found.maps),
@@ -146,6 +167,7 @@ class RemovalRow:
 
     parameters: Annotated[tuple[str, ...], Column("parameters", words=True)]
     changes: Annotated[tuple[float, ...], Column("by a change of", "%", "+.1f")]
+    on_bound: Annotated[bool, Column("on a bound")]
     removed: Annotated[float, Column("residual removed", "%", ".1f")]
 
 
@@ -156,6 +178,8 @@ class GroupRow:
     name: Annotated[str, Column("group")]
     force_share: Annotated[float, Column("force residual explained", "%", ".1f")]
     change: Annotated[float, Column("by a change of", "%", "+.1f")]
+    on_bound: Annotated[bool, Column("on a bound")]
+    change_range: Annotated[tuple[float, ...], Column("without one sensor", "%", "+.1f")]
     error_share: Annotated[float, Column("error's energy in it", "%", ".1f")]
     concentration: Annotated[float, Column("times its share of all energy", form=".2f")]
     energy_difference: Annotated[float, Column("energy difference", "%", ".2f")]
@@ -167,7 +191,8 @@ def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]
     return [
         RemovalRow(
             tuple(found.parameters[place] for place in item.members),
-            tuple(item.changes.tolist()),
+            tuple(item.changes.tolist() if item.explains else np.full(item.changes.size, np.nan)),
+            item.at_bound and item.explains,
             item.removed,
         )
         for item in items
@@ -177,15 +202,19 @@ def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]
 def _groups(maps: ErrorMaps) -> list[GroupRow]:
     """The groups, those that explain most first."""
     errors = maps.errors
+    examined = errors.stability.groups.tolist()
+    ranges = dict(zip(examined, errors.stability.ranges.tolist(), strict=False))
     return [
         GroupRow(
             name=maps.groups[place],
             force_share=float(errors.force_shares[place]),
             change=float(errors.changes[place]),
+            on_bound=bool(errors.at_bound[place]) and bool(np.isfinite(errors.changes[place])),
+            change_range=tuple(ranges.get(place, ())),
             error_share=float(errors.error_shares[place]),
             concentration=float(errors.concentrations[place]),
             energy_difference=float(
-                (abs(errors.strain[place]) + abs(errors.kinetic[place])).mean()
+                np.maximum(abs(errors.strain[place]), abs(errors.kinetic[place])).mean()
             ),
             strain_energy_difference=tuple(errors.strain[place].tolist()),
             kinetic_energy_difference=tuple(errors.kinetic[place].tolist()),
@@ -206,6 +235,9 @@ def _maps_json(maps: ErrorMaps) -> dict[str, Json]:
         groups=_groups(maps),
         pair=pair,
         shape_misfits=maps.misfits,
+        condition_numbers=maps.conditions,
+        rounding_errors=maps.roundings,
+        unstable_without=maps.upsets,
         forces=_worst(maps.nodes.nodes.tolist(), maps.nodes.forces.tolist()),
         strains=_worst(maps.mesh_nodes.tolist(), maps.strains.tolist()),
     )
@@ -234,21 +266,9 @@ def tables(found: Localisation, mesh: Mesh) -> list[Table]:
 
 
 def _lines(found: Localisation) -> list[str]:
-    lines = []
-    if found.maps is not None and found.maps.errors.pair:
-        errors = found.maps.errors
-        pair = " and ".join(found.maps.groups[place] for place in errors.pair)
-        changes = " and ".join(f"{100 * change:+.1f} %" for change in errors.pair_changes.tolist())
-        lines.append(
-            f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
-            f"residual, by changes of {changes}"
-        )
-        best = float(errors.force_shares.max())
-        if best < DISTINCT:
-            lines.append(
-                f"no group alone explains more than {100 * best:.1f} % of the force "
-                "residual: it is measurement noise, or spread over the model"
-            )
+    lines = [f"examined: {found.examined}", *found.remarks]
+    if found.maps is not None:
+        lines += _map_lines(found.maps, found.modes)
     if found.why_no_maps:
         lines.append(f"no maps: {found.why_no_maps}")
     lines.append(found.sentence)
@@ -262,5 +282,45 @@ def _lines(found: Localisation) -> list[str]:
     lines.append(
         f"solver runs: {runs.modal} modal, {runs.sensitivity} for sensitivities and "
         f"matrices, {runs.reused} cached"
+    )
+    return lines
+
+
+def _map_lines(maps: ErrorMaps, modes: Sequence[int]) -> list[str]:
+    lines, errors = [], maps.errors
+    if errors.pair:
+        pair = " and ".join(maps.groups[place] for place in errors.pair)
+        changes = " and ".join(f"{100 * change:+.1f} %" for change in errors.pair_changes.tolist())
+        lines.append(
+            f"best pair: {pair} explain {100 * errors.pair_share:.1f} % of the force "
+            f"residual, by changes of {changes}"
+        )
+    best = float(errors.force_shares.max(initial=0.0))
+    if best < DISTINCT:
+        lines.append(
+            f"no group alone explains more than {100 * best:.1f} % of the force "
+            "residual: it is measurement noise, or spread over the model"
+        )
+    elif maps.upsets:
+        lines.append(
+            f"the ranking depends on single sensors: without {listed(maps.upsets, 6)} another "
+            "group comes first, so do not rely on one group"
+        )
+    elif errors.stability.varies:
+        low, high = errors.stability.ranges[0].tolist()
+        lines.append(
+            f"the change of {maps.groups[errors.stability.groups[0]]} depends on single sensors: "
+            f"{100 * low:+.1f} to {100 * high:+.1f} % without one of them"
+        )
+    if maps.spoiled.any():
+        names = ", ".join(
+            str(mode) for mode, bad in zip(modes, maps.spoiled.tolist(), strict=True) if bad
+        )
+        lines.append(f"left out of the maps, because rounding spoils their expansion: mode {names}")
+    worst = int(np.argmax(maps.conditions))
+    lines.append(
+        f"condition number of the expansion: up to {maps.conditions[worst]:.0e} (mode "
+        f"{modes[worst]}); rounding error of the expanded shapes at most "
+        f"{maps.roundings[~maps.spoiled].max():.0e}"
     )
     return lines

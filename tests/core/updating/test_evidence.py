@@ -1,46 +1,59 @@
-"""The evidence of a model against numerical integrals and closed forms."""
+"""The evidence of a model: closed forms of Gaussian integrals, and numerical ones within bounds."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import dblquad, quad
 
 from modetune.core.updating.evidence import log_evidence, probabilities
 
 
-def test_it_is_the_integral_of_the_likelihood_over_the_prior() -> None:
-    # F(x) = 7 + 50 (x - 0.2)^2: half of its second derivative is 50.
-    def likelihood(x: float) -> float:
-        return float(np.exp(-0.5 * (7.0 + 50.0 * (x - 0.2) ** 2)))
-
-    # The prior is much wider than the peak, whose tails outside are below 1e-30.
-    whole = quad(likelihood, -2.0, 2.0, points=[0.2])[0] / 4.0
-    found = log_evidence(7.0, np.array([[50.0]]), np.array([4.0]))
-    assert found == pytest.approx(np.log(whole), rel=1e-9)
+def test_the_evidence_of_a_line_is_its_gaussian_integral_over_the_width() -> None:
+    # exp(-F/2) sqrt(2 pi / h) / w with h = 400, w = 3.
+    expected = -2.5 + np.log(np.sqrt(2.0 * np.pi / 400.0) / 3.0)
+    h, w = np.array([[400.0]]), np.array([3.0])
+    assert log_evidence(5.0, h, w) == pytest.approx(expected)
+    inside = log_evidence(5.0, h, w, box=np.array([[-1.5, 1.5]]))
+    assert inside == pytest.approx(expected, abs=1e-5)  # 30 deviations to the bounds
 
 
-def test_correlated_parameters_leave_the_volume_of_their_ellipsoid() -> None:
-    hessian = np.array([[400.0, 150.0], [150.0, 300.0]])
-    widths = np.array([3.0, 5.0])
-    volume = 2.0 * np.pi / np.sqrt(np.linalg.det(hessian)) / widths.prod()
-    assert log_evidence(0.0, hessian, widths) == pytest.approx(np.log(volume), rel=1e-12)
+def test_a_parameter_without_effect_neither_helps_nor_costs() -> None:
+    h, w = np.array([[400.0, 0.0], [0.0, 0.0]]), np.array([3.0, 2.0])
+    box = np.array([[-1.5, 1.5], [-0.5, 1.5]])
+    alone = log_evidence(5.0, h[:1, :1], w[:1], box=box[:1])
+    assert log_evidence(5.0, h, w, box=box) == pytest.approx(alone, abs=1e-5)
+    assert log_evidence(5.0, h, w) == pytest.approx(log_evidence(5.0, h[:1, :1], w[:1]))
 
 
-def test_a_parameter_that_the_data_do_not_determine_costs_nothing() -> None:
-    one = log_evidence(3.0, np.array([[80.0]]), np.array([2.0]))
-    two = log_evidence(3.0, np.diag([80.0, 0.0]), np.array([2.0, 6.0]))
-    assert two == pytest.approx(one, rel=1e-12)
-    assert log_evidence(3.0, np.zeros((0, 0)), np.zeros(0)) == -1.5
+@pytest.mark.parametrize("slope", [0.0, 5.0, 60.0])
+def test_a_best_point_on_a_bound_counts_what_is_within_it(slope: float) -> None:
+    h, w, box = np.array([[50.0]]), np.array([2.0]), np.array([[0.0, 2.0]])
+    whole = quad(lambda d: np.exp(-slope * d - 25.0 * d**2), 0.0, 2.0, epsabs=1e-14)[0]
+    found = log_evidence(3.0, h, w, gradient=np.array([slope]), box=box)
+    assert found == pytest.approx(-1.5 + np.log(whole / 2.0), abs=1e-4)
 
 
-def test_a_residual_above_the_noise_distinguishes_less() -> None:
-    hessian, widths = np.array([[50.0]]), np.array([4.0])
-    apart = [log_evidence(90.0, hessian, widths, s) - log_evidence(10.0, hessian, widths, s)
-             for s in (1.0, 4.0)]  # fmt: skip
-    assert apart == pytest.approx([-40.0, -10.0], rel=1e-12)
+def test_two_correlated_parameters_are_integrated_within_their_bounds() -> None:
+    h, g = np.array([[30.0, 20.0], [20.0, 25.0]]), np.array([3.0, -4.0])
+    box, w = np.array([[-0.1, 0.9], [-0.2, 0.3]]), np.array([1.0, 0.5])
+
+    def density(y: float, x: float) -> float:
+        d = np.array([x, y])
+        return float(np.exp(-0.5 * (2.0 * g @ d + d @ h @ d)))
+
+    whole = dblquad(density, *box[0], *box[1])[0]
+    found = log_evidence(0.0, h, w, gradient=g, box=box)
+    assert found == pytest.approx(np.log(whole / w.prod()), abs=0.02)  # of 1024 points
 
 
-def test_probabilities_follow_from_evidence_and_prior() -> None:
-    assert probabilities([1000.0, 1000.0 + np.log(3.0)]) == pytest.approx([0.25, 0.75])
+def test_a_misfit_beyond_noise_distinguishes_models_less() -> None:
+    h, w = np.array([[400.0]]), np.array([3.0])
+    gap = [log_evidence(f, h, w, scale=4.0) for f in (100.0, 108.0)]
+    assert gap[0] - gap[1] == pytest.approx(1.0)  # 8 / 2 / 4
+
+
+def test_probabilities_add_up_and_follow_their_prior() -> None:
+    found = probabilities([-1000.0, -1002.0])
+    assert found == pytest.approx([1 / (1 + np.exp(-2.0)), 1 / (1 + np.exp(2.0))])
     assert probabilities([0.0, 0.0], np.array([0.9, 0.1])) == pytest.approx([0.9, 0.1])

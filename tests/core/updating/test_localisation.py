@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -147,6 +147,59 @@ def test_both_maps_point_to_the_wrong_spring_and_less_to_its_neighbours() -> Non
     assert max(forces[3], forces[5]) > np.delete(forces, [3, 4, 5]).max()
 
 
+def test_a_bound_limits_the_change_of_a_group_and_what_it_explains() -> None:
+    # r = -e f: a change c in place of e explains the share (2 c e - c^2) / e^2 of it.
+    lam, phi = modes(SPRINGS * np.where(np.arange(N + 1) == 4, 1.3, 1.0), MASSES)
+    k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
+    fields = error_fields(k, m, lam, phi, sparse.csr_array(np.eye(N)), np.full(lam.size, 1e-7))
+    groups = [replace(group, lower=-0.1, upper=0.1) for group in spring_groups()]
+    found = group_errors(fields, k, m, groups, modes(SPRINGS, MASSES)[1])
+    assert found.changes[4] == pytest.approx(0.1)
+    assert found.at_bound[4]
+    assert found.force_shares[4] == pytest.approx((2 * 0.1 * 0.3 - 0.1**2) / 0.3**2, abs=1e-6)
+    assert (np.abs(found.pair_changes) <= 0.1).all()
+
+
+def test_leaving_a_sensor_out_is_what_a_test_without_it_gives() -> None:
+    lam, phi = modes(SPRINGS * np.where(np.arange(N + 1) == 4, 1.3, 1.0), MASSES)
+    phi = phi + 0.05 * np.random.default_rng(1).standard_normal(phi.shape)
+    k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
+    deviations = np.full(lam.size, 0.02)
+    rows = sparse.csr_array(np.eye(N))
+    fields = error_fields(k, m, lam, phi, rows, deviations, left_out=[0, 6])
+    for place, sensor in enumerate((0, 6)):
+        kept = np.delete(np.arange(N), sensor)
+        # The deviation is relative to the length of the shape, which a sensor less shortens.
+        own = deviations * np.linalg.norm(phi, axis=0) / np.linalg.norm(phi[kept], axis=0)
+        alone = error_fields(k, m, lam, phi[kept], rows[kept], own)
+        np.testing.assert_allclose(fields.without[place], alone.displacements, rtol=1e-8, atol=1e-9)
+    found = group_errors(fields, k, m, spring_groups(), phi)
+    assert found.stability.left_out.tolist() == [0, 6]
+    assert found.stability.groups[0] == found.ranking[0]
+
+
+def test_a_sensor_that_alone_decides_the_ranking_is_named() -> None:
+    # A wild reading at mass 9 blames the springs there; without it spring 3 is the wrong one.
+    lam, phi = modes(SPRINGS * np.where(np.arange(N + 1) == 2, 1.3, 1.0), MASSES)
+    phi = phi.copy()
+    phi[8] *= 1.6
+    k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
+    rows, every = sparse.csr_array(np.eye(N)), list(range(N))
+    fields = error_fields(k, m, lam, phi, rows, np.full(lam.size, 0.01), left_out=every)
+    found = group_errors(fields, k, m, spring_groups(), phi)
+    assert 8 in found.stability.upsets
+    assert len(found.stability.upsets) < N / 2
+
+
+def test_forces_that_cannot_be_told_apart_are_no_pair() -> None:
+    lam, phi = modes(SPRINGS * np.where(np.arange(N + 1) == 4, 1.3, 1.0), MASSES)
+    k, m = sparse.csr_array(stiffness(SPRINGS)), sparse.csr_array(np.diag(MASSES))
+    fields = error_fields(k, m, lam, phi, sparse.csr_array(np.eye(N)), np.full(lam.size, 1e-7))
+    one = spring_groups()[4]
+    found = group_errors(fields, k, m, [one, replace(one, name="again")], phi)
+    assert found.pair == ()
+
+
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("spring", [3, 5, 8])
 def test_noise_of_one_per_cent_leaves_the_wrong_spring_first_in_both_maps(
@@ -182,14 +235,14 @@ def test_two_wrong_springs_are_the_best_pair_with_their_errors() -> None:
 
 
 def test_energy_differences_are_those_of_the_two_modes() -> None:
-    # Spring g of the nominal chain stretched by the true and by the nominal mode, over lam.
+    # Spring g of the nominal chain stretched by the true and by the nominal mode, of all springs.
     found = located({"k5": 0.3})
     springs = SPRINGS.copy()
     springs[4] *= 1.3
-    (lam, phi), (lam_c, phi_c) = modes(springs, MASSES), modes(SPRINGS, MASSES)
+    (_, phi), (_, phi_c) = modes(springs, MASSES), modes(SPRINGS, MASSES)
     walls = [np.vstack([np.zeros(N_MODES), shapes, np.zeros(N_MODES)]) for shapes in (phi, phi_c)]
     energy = [SPRINGS[:, None] * np.diff(wall, axis=0) ** 2 for wall in walls]
-    expected = energy[0] / lam - energy[1] / lam_c
+    expected = energy[0] / energy[0].sum(axis=0) - energy[1] / energy[1].sum(axis=0)
     np.testing.assert_allclose(found.groups.strain[: N + 1], expected, atol=1e-6)
     np.testing.assert_allclose(
         found.groups.kinetic[N + 1 :], MASSES[:, None] * (phi**2 - phi_c**2), atol=1e-6

@@ -1,0 +1,1 @@
+"""Which of several models explains a test best, and what would decide between them."""
