@@ -196,7 +196,7 @@ class ChangeMisfit(Misfit):
         own, amplitudes = values[case.columns], values[self.n_own :]
         theta = np.concatenate([case.theta, amplitudes if self._added else []])
         theta[self.columns(case)] = np.concatenate([own, amplitudes])
-        return theta
+        return np.asarray(theta)
 
     @property
     def _added(self) -> bool:
@@ -258,7 +258,7 @@ class ChangeMisfit(Misfit):
 
 
 def _deviations(found: Residual) -> Floats:
-    return np.sqrt(np.where(found.weights > 0.0, 1.0 / found.noise, 0.0))
+    return np.asarray(np.sqrt(np.where(found.weights > 0.0, 1.0 / found.noise, 0.0)))
 
 
 def _normal(found: Residual) -> Floats:
