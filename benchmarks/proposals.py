@@ -257,6 +257,11 @@ def _right(
     return refined is not None and refined[1] < ALIKE
 
 
+def _has_materials(family: str) -> bool:
+    parameters = FAMILIES[family](np.random.default_rng(1)).parameters
+    return len(parameters) > 1 and "material" in parameters[-1]
+
+
 def table(outcomes: list[Outcome]) -> str:
     """A line a kind, and one a family of those with something to find."""
     lines = [
@@ -300,7 +305,7 @@ def main() -> None:
         for place in range(each)
         for kind in asked.kinds
         for family in asked.families
-        if kind != "softened" or len(FAMILIES[family](np.random.default_rng(1)).parameters) > 1
+        if kind != "softened" or _has_materials(family)
     ]
     outcomes = []
     with ProcessPoolExecutor(
