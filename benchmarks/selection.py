@@ -18,6 +18,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
@@ -82,9 +83,10 @@ def evidences(models: Sequence[Chain], frequencies: Floats, shapes: Floats) -> l
         starts = [np.zeros(n), np.full(n, 0.7 * model.half), np.full(n, -0.7 * model.half)]
         ends = [
             least_squares(
-                lambda x, model=model: residuals(model, x, frequencies, shapes),
+                partial(residuals, model),
                 start,
                 bounds=(-model.half, model.half),
+                args=(frequencies, shapes),
             )
             for start in starts
         ]
@@ -100,7 +102,8 @@ def evidences(models: Sequence[Chain], frequencies: Floats, shapes: Floats) -> l
         n = len(model.chosen)
         box = np.column_stack([-model.half - fit.x, model.half - fit.x])
         widths = np.full(n, 2.0 * model.half)
-        slope, hessian = fit.jac.T @ fit.fun, fit.jac.T @ fit.jac
+        jacobian = np.asarray(fit.jac, dtype=np.float64)
+        slope, hessian = jacobian.T @ fit.fun, jacobian.T @ jacobian
         found.append(log_evidence(2.0 * float(fit.cost), hessian, widths, scale, slope, box))
     return found
 
