@@ -126,6 +126,17 @@ def observer_of(
     return seen.matrix
 
 
+def named_freedoms(nodes: tuple[int, ...], turning: Integers) -> tuple[Integers, Integers]:
+    """Return the degrees of freedom of a modal result at nodes, and their components.
+
+    turning: nodes whose rotations sensors see. Node by node x, y, z, and rotations of these.
+    """
+    ordered = np.array(sorted(nodes), dtype=np.int64)
+    counts = np.where(np.isin(ordered, turning), 6, 3)
+    starts = np.repeat(np.cumsum(counts) - counts, counts)
+    return np.repeat(ordered, counts), np.arange(starts.size) - starts + 1
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalSet:
     """A number of modes at values (n_parameters,) as written in decks; start: of the search."""
@@ -225,14 +236,8 @@ class StoredModel:
         return np.array(self.campaign.case.rotation_nodes, dtype=np.int64)
 
     def freedoms(self, nodes: tuple[int, ...]) -> tuple[Integers, Integers]:
-        """Return the degrees of freedom of a modal result at nodes, and their components.
-
-        Node by node x, y, z, and the rotations of nodes where sensors see these.
-        """
-        ordered = np.array(sorted(nodes), dtype=np.int64)
-        counts = np.where(np.isin(ordered, self._turning), 6, 3)
-        starts = np.repeat(np.cumsum(counts) - counts, counts)
-        return np.repeat(ordered, counts), np.arange(starts.size) - starts + 1
+        """Return `named_freedoms` of the case's sensors."""
+        return named_freedoms(nodes, self._turning)
 
     def named(self, nodes: tuple[int, ...]) -> dict[str, Json]:
         """Return what of a content key says at which degrees of freedom results are."""

@@ -118,7 +118,7 @@ def case_model(
             f"{size:,}"
         )
     written, case = source.written(theta), all_data(state.case)
-    rows = named_freedoms(case.nodes)
+    rows = named_freedoms(case.nodes, np.array(case.rotation_nodes, dtype=np.int64))
     observer = observer_of(state.campaign, affine.base, *rows)
     places = known_places or places_of(case, tuple(sorted(deck.summary.components)))
     seen = deck.observation(affine.base, places.load_nodes, places.load_components)
@@ -139,7 +139,7 @@ def case_model(
             part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
         )  # fmt: skip
     modes = solved.eigenvalues, solved.shapes
-    freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places)
+    freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places, rows)
     released, groups = freed or (None, ())
     loaded = attached_model(
         affine, model, basis, observer, solver.inverse, loads, released, (written, solved.shift)

@@ -24,7 +24,6 @@ from modetune.flows.studies.localise.changes import AXES, LoadPlaces, ReleasedGr
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import CaseState
-from modetune.flows.updating.solutions import named_freedoms
 
 logger = logging.getLogger(__name__)
 
@@ -45,11 +44,12 @@ def released_model(
     base: MatrixResult,
     modes: tuple[Floats, Floats],
     places: LoadPlaces,
+    rows: tuple[Integers, Integers],
 ) -> tuple[Released, tuple[ReleasedGroup, ...]] | None:
     """Return a case's model without supports and links, None where it has none or cannot be had.
 
     theta: (n_columns,), values of the parameters; base: the constrained model there; modes: its
-    eigenvalues (n_modes,) and shapes (n, n_modes).
+    eigenvalues (n_modes,) and shapes (n, n_modes). rows: nodes and components that are compared.
     """
     deck, case = state.case.solver.deck, state.case
     try:
@@ -72,12 +72,11 @@ def released_model(
     if seen is None or not _is_same(seen, here, base):
         logger.info("supports and links are not released: the free model is not the same one")
         return None
-    nodes, components = named_freedoms(case.nodes)
     found = list(_groups(here, base, seen, deck.mesh(), links))
     patterns, groups = _patterns(found, here, seen, modes, deck.mesh())
     if not groups:
         return None
-    observed = free.observation(here, nodes, components)
+    observed = free.observation(here, *rows)
     loads = free.observation(here, places.load_nodes, places.load_components)
     return (
         Released(matrices, seen, observed.matrix, sparse.csr_array(loads.matrix.T), patterns),
