@@ -327,6 +327,9 @@ def localise(
     record: StrPath | CampaignRun | None = None,
     state: ModelState | None = None,
     configuration: str | None = None,
+    changes: bool = True,
+    apply: int | None = None,
+    out: StrPath | None = None,
     figures: StrPath | None = None,
     runs: StrPath = "runs",
     settings: Settings = (),
@@ -337,6 +340,8 @@ def localise(
 
     record: run whose updated model to examine, by default that of the campaign in `runs`. state:
     examine this model. configuration: name of the one to examine, if the campaign has several.
+    changes: look for masses, springs and absorbers that the model lacks. apply: number of the
+    change to write into a new deck and the campaign file `out`.
     """
     found: Localisation = _found("localise", locals())
     return found
