@@ -222,7 +222,8 @@ def test_the_command_tells_machines_and_people(
     assert {item["name"] for item in told["maps"]["groups"]} >= {"k1", "k2", "k3", "k4"}
     assert len(told["pairs"]) == 6  # of four parameters
     assert told["maps"]["strains"] == []  # a model of matrices has no mesh
-    assert [Path(path).name for path in told["written"]] == ["removals.png", "groups.png"]
+    drawn = [Path(path).name for path in told["written"]]
+    assert drawn == ["removals.png", "groups.png", "proposals.png"]
     shown = CliRunner().invoke(app, ["localise", campaign, "--no-prefect"])
     assert shown.exit_code == 0, shown.output
     assert "Where the model is wrong" in shown.stdout
