@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from modetune.core.errors import CampaignError
@@ -191,7 +191,7 @@ def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]
     return [
         RemovalRow(
             tuple(found.parameters[place] for place in item.members),
-            tuple(item.changes.tolist() if item.explains else np.full(item.changes.size, np.nan)),
+            tuple(item.changes.tolist() if item.explains else [nan] * item.changes.size),
             item.at_bound and item.explains,
             item.removed,
         )
@@ -201,6 +201,8 @@ def _removals(found: Localisation, items: Sequence[Removal]) -> list[RemovalRow]
 
 def _groups(maps: ErrorMaps) -> list[GroupRow]:
     """The groups, those that explain most first."""
+    import numpy as np
+
     errors = maps.errors
     examined = errors.stability.groups.tolist()
     ranges = dict(zip(examined, errors.stability.ranges.tolist(), strict=False))
@@ -209,7 +211,7 @@ def _groups(maps: ErrorMaps) -> list[GroupRow]:
             name=maps.groups[place],
             force_share=float(errors.force_shares[place]),
             change=float(errors.changes[place]),
-            on_bound=bool(errors.at_bound[place]) and bool(np.isfinite(errors.changes[place])),
+            on_bound=bool(errors.at_bound[place]) and isfinite(errors.changes[place]),
             change_range=tuple(ranges.get(place, ())),
             error_share=float(errors.error_shares[place]),
             concentration=float(errors.concentrations[place]),
@@ -317,7 +319,7 @@ def _map_lines(maps: ErrorMaps, modes: Sequence[int]) -> list[str]:
             str(mode) for mode, bad in zip(modes, maps.spoiled.tolist(), strict=True) if bad
         )
         lines.append(f"left out of the maps, because rounding spoils their expansion: mode {names}")
-    worst = int(np.argmax(maps.conditions))
+    worst = int(maps.conditions.argmax())
     lines.append(
         f"condition number of the expansion: up to {maps.conditions[worst]:.0e} (mode "
         f"{modes[worst]}); rounding error of the expanded shapes at most "
