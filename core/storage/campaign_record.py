@@ -253,8 +253,16 @@ def _with_repeatability(file: h5py.File) -> None:
             item.attrs["repeatability"] = item.attrs["standard_error"]
 
 
+def _without_sections(file: h5py.File) -> None:
+    """Leave the content of format 9 as it is: format 10 may have sensors on sections of bars."""
+
+
 CAMPAIGN = RecordFile(
-    CampaignRecord, "campaign", "campaign.h5", 9, {7: _with_extent, 8: _with_repeatability}
+    CampaignRecord,
+    "campaign",
+    "campaign.h5",
+    10,
+    {7: _with_extent, 8: _with_repeatability, 9: _without_sections},
 )
 
 

@@ -52,7 +52,7 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (9, "547b6fa51a7b")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (10, "eafac9b80def")),
         (SCREENING.kind, SCREENING.format, (7, "0750f1b2a126")),
         (SCATTER.kind, SCATTER.format, (2, "abe5ba0d35f1")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),
