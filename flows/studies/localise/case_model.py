@@ -127,8 +127,9 @@ def case_model(
     solver = ModeSolver(count=False)
     n_modes = min(part.modal.modes.n_modes + MORE_MODES, size)
     solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
-    shift = min(solved.shift, first_shift(state.campaign))
+    shift = solved.shift
     if size <= SMALL or not solver.inverts_exactly:
+        shift = min(shift, first_shift(state.campaign))
         solver.factorise(here.upper_stiffness, here.upper_mass, shift)
     if size <= SMALL:
         model, basis = unreduced(affine, shift, observer), np.eye(size)
@@ -142,7 +143,7 @@ def case_model(
     freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places, rows)
     released, groups = freed or (None, ())
     loaded = attached_model(
-        affine, model, basis, observer, solver.inverse, loads, released, (written, solved.shift)
+        affine, model, basis, observer, solver.inverse, loads, released, (written, shift)
     )
     known = CaseModel(
         case=case,

@@ -33,7 +33,7 @@ Kind = Literal[
     "rotational spring", "absorber", "sensor masses", "yielding support", "yielding link", "group",
 ]  # fmt: skip
 
-#: LoadPlaces of masses and of springs to the ground, of absorbers, and pairs of close nodes.
+#: Places of masses and of springs to the ground, of absorbers, and pairs of close nodes.
 PLACES, ABSORBERS, PAIRS = 200, 30, 60
 #: Bounds of masses, shares of the model's mass; of inertias, also of a tenth of its size squared.
 MASSES, ABSORBER_MASSES, ARM = (1e-4, 0.3), (1e-3, 0.2), 0.1
