@@ -93,14 +93,7 @@ def localise(
     from modetune.flows.studies.localise.localisation import examined_state, one_model
     from modetune.flows.studies.localise.localisation import localise as find
 
-    if (apply is None) != (out is None):
-        raise CampaignError("--apply and --out go together: `--apply 1 --out new_campaign.yaml`")
-    if apply is not None and not changes:
-        raise CampaignError("--apply needs the changes that --no-changes leaves out")
-    if out is not None:
-        from modetune.flows.studies.localise.apply import check_place
-
-        check_place(on.campaign, out)
+    _check_apply(on.campaign, changes, apply, out)
     examined = examined_state(on.campaign, record, state, on.folder)
     on.working(f"modes and sensitivities at {examined.text}")
     found = find(on.campaign, examined, configuration, changes, on.working)
@@ -128,6 +121,18 @@ def localise(
         written=written,
         charts=charts,
     )
+
+
+def _check_apply(campaign: Campaign, changes: bool, apply: int | None, out: Path | None) -> None:
+    """Raise CampaignError for what cannot be applied, before anything runs."""
+    if (apply is None) != (out is None):
+        raise CampaignError("--apply and --out go together: `--apply 1 --out new_campaign.yaml`")
+    if apply is not None and not changes:
+        raise CampaignError("--apply needs the changes that --no-changes leaves out")
+    if out is not None:
+        from modetune.flows.studies.localise.apply import check_place
+
+        check_place(campaign, out)
 
 
 def _applied(campaign: Campaign, found: Localisation, number: int, out: Path) -> Applied:
