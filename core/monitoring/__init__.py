@@ -1,0 +1,1 @@
+"""A structure over its nights: parameters, their environment, and whether they changed."""
