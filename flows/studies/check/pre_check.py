@@ -44,7 +44,7 @@ from modetune.flows.studies.check.model import (
     rigid_findings,
     size_findings,
 )
-from modetune.flows.studies.check.parameters import (
+from modetune.flows.studies.check.plausibility import (
     EnergyShare,
     bound_findings,
     energy_findings,

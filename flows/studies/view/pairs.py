@@ -13,7 +13,7 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.diagnosis.pairing import first_pairs, mac_table
 from modetune.flows.jobs.campaign_engine import engine_of, job_engine
 from modetune.flows.jobs.job import Job
-from modetune.flows.studies.view.changes import Change, Part
+from modetune.flows.studies.view.campaign_changes import Change, Part
 from modetune.flows.updating.mode_source import campaign_analysis
 
 #: Elastic modes are shown up to this many times the highest measured frequency.

@@ -20,7 +20,7 @@ from modetune.flows.studies.identify.identification import (
     identify,
     write_modes,
 )
-from modetune.flows.studies.view.changes import Change, Part
+from modetune.flows.studies.view.campaign_changes import Change, Part
 
 Band = tuple[float, float] | None
 

@@ -27,15 +27,15 @@ from modetune.adapters.yaml_file import read_yaml
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.flows.campaign.campaign import load_campaign, store_of
 from modetune.flows.report.page import page
-from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.live_record import LiveRecord, live_json
-from modetune.flows.studies.view.pairs import pairs_change, pairs_json
-from modetune.flows.studies.view.poles import Band, poles_change, poles_json
-from modetune.flows.studies.view.sensors import (
+from modetune.flows.studies.view.campaign_changes import Change, Part, configuration_names, part_of
+from modetune.flows.studies.view.landmarks import (
     Mark,
     landmarks_change,
     sensors_json,
 )
+from modetune.flows.studies.view.live_record import LiveRecord, live_json
+from modetune.flows.studies.view.pairs import pairs_change, pairs_json
+from modetune.flows.studies.view.poles import Band, poles_change, poles_json
 
 LOOPBACK = "127.0.0.1"
 #: Lifetime of the cookie, in seconds; it is worthless once the server has ended.

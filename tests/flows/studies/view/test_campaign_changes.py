@@ -20,13 +20,13 @@ from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, MeasuredModes, mode_set
 from modetune.flows.campaign.campaign import load_campaign
-from modetune.flows.studies.view.changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.pairs import pairs_change, pairs_json
-from modetune.flows.studies.view.poles import poles_change, poles_json
-from modetune.flows.studies.view.sensors import (
+from modetune.flows.studies.view.campaign_changes import Change, Part, configuration_names, part_of
+from modetune.flows.studies.view.landmarks import (
     landmarks_change,
     sensors_json,
 )
+from modetune.flows.studies.view.pairs import pairs_change, pairs_json
+from modetune.flows.studies.view.poles import poles_change, poles_json
 from tests.flows.studies.test_identify import FREQUENCIES, measured
 
 BAND = (8.0, 140.0)

@@ -19,7 +19,7 @@ from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.test import read_test
 from modetune.flows.campaign.units import METRES
 from modetune.flows.report.scene import packed
-from modetune.flows.studies.view.changes import Change, Part, part_of
+from modetune.flows.studies.view.campaign_changes import Change, Part, part_of
 
 #: Other keys of `test.sensors` that set the pose of the test.
 OTHER_MEANS = ("rotation", "translation", "align")
