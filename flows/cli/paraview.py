@@ -18,7 +18,7 @@ from modetune.flows.report.tables import json_object
 from modetune.flows.studies.study import Settings
 
 if TYPE_CHECKING:
-    from modetune.flows.studies.paraview import Series
+    from modetune.flows.studies.paraview import ShapeSeries
 
 
 def paraview(
@@ -70,7 +70,7 @@ def paraview(
     print_result(json_object(status="good", series=series, fields=fields), lines, as_json)
 
 
-def series_json(item: Series) -> dict[str, Json]:
+def series_json(item: ShapeSeries) -> dict[str, Json]:
     """Return the JSON object of a series of files."""
     converter = "ccx2paraview" if item.converted else "modetune"
     return json_object(
@@ -78,5 +78,5 @@ def series_json(item: Series) -> dict[str, Json]:
     )
 
 
-def _cost(item: Series) -> str:
+def _cost(item: ShapeSeries) -> str:
     return ", one solver run" if item.ran else ", no solver run"

@@ -48,7 +48,7 @@ class SeriesSource:
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class ShapeSeries:
     """Files of one state. ran: whether a solver had to run; converted: by ccx2paraview."""
 
     state: State
@@ -116,7 +116,7 @@ def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
     return {state: values for state, values in found.items() if wanted in (state, "both")}
 
 
-def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[Series, ...]:
+def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[ShapeSeries, ...]:
     """The paired modes on the displayed surface, as the record in a run folder keeps them.
 
     Runs nothing and reads no campaign. Raises CampaignError, StoreError.
@@ -135,13 +135,13 @@ def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[Series, ..
         if wanted in (state, "both"):
             field = items[state].field
             series = write_series(out, state, mode_grids(mesh, field), field.frequencies_hz)
-            written.append(Series(state, series, field.n_modes, False, False))
+            written.append(ShapeSeries(state, series, field.n_modes, False, False))
     return tuple(written)
 
 
 def write_paraview(
     campaign: Campaign, states: Mapping[State, Values], out: Path
-) -> tuple[Series, ...]:
+) -> tuple[ShapeSeries, ...]:
     """Write STATE.pvd and its .vtu files for each state: one modal job each, the store first.
 
     Raises CampaignError where the model has no geometry; SolverError, StoreError.
@@ -176,7 +176,7 @@ def write_field_file(source: SeriesSource, out: Path) -> Path | None:
     return write_fields(out / "fields.vtu", mesh, named)
 
 
-def _write_state(campaign: Campaign, state: State, values: Values, out: Path) -> Series:
+def _write_state(campaign: Campaign, state: State, values: Values, out: Path) -> ShapeSeries:
     solver, keep_jobs = campaign.case.solver, campaign.run.keep_jobs
     job = Job(
         values, ModalAnalysis(campaign.case.n_modes, tuple(sorted(solver.deck.summary.node_ids)))
@@ -202,4 +202,4 @@ def _write_state(campaign: Campaign, state: State, values: Values, out: Path) ->
             shutil.rmtree(folder, ignore_errors=True)
     else:
         series = write_series(out, state, mode_grids(solver.deck.mesh(), result.modes), frequencies)
-    return Series(state, series, frequencies.size, not outcome.reused, converted)
+    return ShapeSeries(state, series, frequencies.size, not outcome.reused, converted)
