@@ -225,6 +225,22 @@ def test_a_class_name_has_one_meaning() -> None:
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
 
+#: Parts that several studies have; updating has a record, too.
+PARTS_OF_STUDIES = {"study", "request", "record", "figures", "summary"}
+
+
+def test_files_share_a_name_only_as_parts_of_one_seam() -> None:
+    homes: dict[str, list[str]] = {}
+    for module, path in MODULES.items():
+        _, part, *rooms = module.split(".")
+        # Solvers share a seam; a command has the name of its study and of the work that it starts.
+        if part not in ("core", "flows") or rooms[:1] == ["cli"] or path.name == "__init__.py":
+            continue
+        if rooms[-1] not in {*PARTS_OF_STUDIES, "update"}:
+            homes.setdefault(f"{part} {rooms[-1]}", []).append(module)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
 def messages(path: Path) -> set[str]:
     """The sentences of a file: its texts with a space, docstrings left out."""
     docs = {
