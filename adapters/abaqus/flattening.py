@@ -8,7 +8,6 @@ that is dropped in silence is a wrong model.
 
 from __future__ import annotations
 
-import logging
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,8 +31,6 @@ from modetune.adapters.calculix.deck import (
 )
 from modetune.adapters.calculix.steps import frequency_steps, modal_step, read_steps
 from modetune.core.errors import ModelError
-
-logger = logging.getLogger(__name__)
 
 #: Components that a named condition holds.
 CONDITIONS: dict[str, tuple[int, ...]] = {

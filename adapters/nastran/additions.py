@@ -11,9 +11,6 @@ from modetune.core.errors import ModelError
 from modetune.core.mesh import Mesh
 from modetune.core.parameters import Quantity, TargetKind
 
-#: Characters of a number in a field of 16.
-WIDE = 15
-
 
 def with_addition(deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Addition) -> AddedCards:
     """Return the main file with an addition. Raises ModelError.

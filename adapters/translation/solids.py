@@ -22,7 +22,6 @@ KIND = {
     ("CTETRA", 4): "C3D4", ("CTETRA", 10): "C3D10", ("CPYRAM", 5): "C3D8", ("CPYRAM", 13): "C3D20",
 }  # fmt: skip
 KINDS = ("CHEXA", "CPENTA", "CTETRA", "CPYRAM")
-CORNERS = {"CHEXA": 8, "CPENTA": 6, "CTETRA": 4, "CPYRAM": 5}
 #: Nastran goes lower face, uprights, upper face; ccx lower face, upper face, uprights.
 ORDER = {
     "C3D20": (*range(12), 16, 17, 18, 19, 12, 13, 14, 15),

@@ -33,7 +33,6 @@ from modetune.adapters.translation.calculix_text import number_list
 from modetune.core.modes import Floats
 
 SCALAR = ("CELAS1", "CELAS2", "CELAS3", "CELAS4")
-KINDS = (*SCALAR, "CBUSH", "CBUSH1D")
 
 #: Linear forms and their stiffnesses.
 Deformations = list[tuple[Form, float]]

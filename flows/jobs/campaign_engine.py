@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import uuid
 from collections.abc import Iterator
@@ -29,7 +30,7 @@ from modetune.flows.jobs.runner import (
     WorkerRequest,
     end_event,
 )
-from modetune.flows.jobs.slurm import on_slurm
+from modetune.flows.jobs.slurm import SlurmLauncher, srun_options
 from modetune.flows.jobs.store_files import in_use, remove_abandoned
 from modetune.flows.jobs.tasks import StudyRun, Tasks, study_run, use_run
 
@@ -71,7 +72,20 @@ def job_engine(campaign: Campaign) -> JobEngine:
         ),
         order=_order(campaign, study is not None and study.licences),
     )
-    return on_slurm(engine, run.slurm, campaign.name) if run.engine == "slurm" else engine
+    return _on_slurm(engine, campaign) if run.engine == "slurm" else engine
+
+
+def _on_slurm(engine: JobEngine, campaign: Campaign) -> JobEngine:
+    """Return an engine whose jobs Slurm runs under the campaign's name. Raises SolverMissing."""
+    policy, slurm = engine.policy, campaign.run.slurm
+    asked = engine.threads, policy.timeout_s, engine.limits
+    return replace(
+        engine,
+        launcher=SlurmLauncher(srun_options(slurm, campaign.name, *asked, os.environ)),
+        counter=MachineLimits(None),
+        # Slurm limits the running time; this limit ends a job that stays in the queue.
+        policy=replace(policy, timeout_s=policy.timeout_s + policy.licence_wait_s),
+    )
 
 
 def engine_of(engine: JobEngine, campaign: Campaign, case: Case) -> JobEngine:

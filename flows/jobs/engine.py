@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from modetune.adapters.licence import licence_refusal
 from modetune.adapters.process import disk_full, run_process
-from modetune.adapters.solver import Command, Program, Solver
+from modetune.adapters.solver import Program, Solver
 from modetune.core.algebra.factor_room import MEMORY_VARIABLE, FactorRoom, factor_room
 from modetune.core.errors import (
     LicenceDenied,
@@ -46,6 +46,7 @@ from modetune.flows.jobs.limits import CORES, JobMemory, Limit, Limits
 from modetune.flows.jobs.policy import Policy
 from modetune.flows.jobs.progress import Derivation
 from modetune.flows.jobs.runner import Costs, StoredResult, Tries, WorkerRequest, retry
+from modetune.flows.jobs.slurm import SlurmLauncher
 from modetune.flows.jobs.store_files import factor_files
 from modetune.flows.jobs.tasks import Tasks
 
@@ -79,18 +80,6 @@ class JobOutcome:
         return engine.solver.by_hand(entry.result)
 
 
-class Launcher(Protocol):
-    """Starts programs through another one, such as Slurm's `srun`."""
-
-    def wrapped(self, command: Command) -> Command:
-        """Return the command that starts `command` through the launcher."""
-        ...
-
-    def check(self, folder: Path, return_code: int) -> None:
-        """Raise the SolverError with which the launcher, not the program, ended a job."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class JobEngine:
     """Solves the jobs of one model and keeps their results in one store; thread-safe.
@@ -111,7 +100,7 @@ class JobEngine:
     tasks: Tasks
     order: WorkerRequest | None = None
     may_run: bool = True
-    launcher: Launcher | None = None
+    launcher: SlurmLauncher | None = None
     memory: JobMemory = field(default_factory=JobMemory)
 
     @property

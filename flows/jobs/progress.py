@@ -54,23 +54,11 @@ class Derivation:
     wall_s: float
 
 
-class Display(Protocol):
-    """Shows the progress of tasks; its methods return at once."""
-
-    def submitted(self, tasks: int) -> None:
-        """Count submitted tasks; each begins when a slot is free."""
-        ...
-
-    def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
-        """Show that a task begins; return the function to call with its outcome."""
-        ...
-
-
-_display: ContextVar[Display | None] = ContextVar("display", default=None)
+_display: ContextVar[JobProgress | None] = ContextVar("display", default=None)
 
 
 @contextmanager
-def use_display(display: Display) -> Iterator[None]:
+def use_display(display: JobProgress) -> Iterator[None]:
     """Show the work of engines created in this context on a display."""
     token = _display.set(display)
     try:
@@ -79,7 +67,7 @@ def use_display(display: Display) -> Iterator[None]:
         _display.reset(token)
 
 
-def current_display() -> Display | None:
+def current_display() -> JobProgress | None:
     return _display.get()
 
 
@@ -107,7 +95,7 @@ PROGRESS_FILE, WRITE_S = "progress.json", 0.2
 
 
 class JobProgress:
-    """Counts and shows jobs; thread-safe."""
+    """Counts and shows jobs; thread-safe, and its methods return at once."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
@@ -191,11 +179,6 @@ class JobProgress:
                 self._show(False)
 
         return ended
-
-    def skipped(
-        self, iteration: str, names: Sequence[str], reason: str, state: str = "Skipped"
-    ) -> None:
-        return
 
     def line(self) -> str:
         """Return activity, jobs done and submitted, running jobs, and remaining time."""

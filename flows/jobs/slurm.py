@@ -8,7 +8,6 @@ messages of srun and its daemons in the log distinguish jobs that Slurm ended fr
 from __future__ import annotations
 
 import math
-import os
 import shutil
 import sys
 from collections.abc import Mapping
@@ -25,8 +24,7 @@ from modetune.core.errors import (
     SolverTimeout,
 )
 from modetune.flows.campaign.site import SlurmSection
-from modetune.flows.jobs.engine import JobEngine
-from modetune.flows.jobs.limits import CORES, Limit, MachineLimits
+from modetune.flows.jobs.limits import CORES, Limit
 
 LAUNCHER = Path(__file__).with_name("srun.py")
 MISSING = (
@@ -72,38 +70,30 @@ class SlurmLauncher:
             raise SolverCrashed(f"the job was killed under Slurm in {folder}\n{log_tail(folder)}")
 
 
-def on_slurm(engine: JobEngine, slurm: SlurmSection, name: str) -> JobEngine:
-    """Return an engine whose jobs Slurm runs under the campaign's name. Raises SolverMissing."""
-    if shutil.which("srun") is None:
-        raise SolverMissing(MISSING)
-    options = srun_options(engine, slurm, name, os.environ)
-    policy = engine.policy
-    return replace(
-        engine,
-        launcher=SlurmLauncher(options),
-        counter=MachineLimits(None),
-        # Slurm limits the running time; this limit ends a job that stays in the queue.
-        policy=replace(policy, timeout_s=policy.timeout_s + policy.licence_wait_s),
-    )
-
-
 def srun_options(
-    engine: JobEngine, slurm: SlurmSection, name: str, environment: Mapping[str, str]
+    slurm: SlurmSection,
+    job_name: str,
+    threads: int,
+    timeout_s: float,
+    limits: tuple[Limit, ...],
+    environment: Mapping[str, str],
 ) -> tuple[str, ...]:
-    """Return the options of `srun` for a solver command.
+    """Return the options of `srun` for a solver command. Raises SolverMissing without srun.
 
     Inside an allocation (`sbatch`, `salloc`) jobs are its steps: partition, account and licences
     are the allocation's, and the steps share its cores.
     """
+    if shutil.which("srun") is None:
+        raise SolverMissing(MISSING)
     options = ["--nodes=1", "--ntasks=1", "--kill-on-bad-exit=1", "--quiet", "--input=none"]
-    options += [f"--cpus-per-task={engine.threads}", f"--job-name=modetune-{name}"]
-    options.append(f"--time={slurm.time or math.ceil(engine.policy.timeout_s / 60)}")
+    options += [f"--cpus-per-task={threads}", f"--job-name=modetune-{job_name}"]
+    options.append(f"--time={slurm.time or math.ceil(timeout_s / 60)}")
     if "SLURM_JOB_ID" in environment:
         return (*options, "--exact", *slurm.options)
     named = {
         "partition": slurm.partition,
         "account": slurm.account,
-        "licenses": _licences(engine.limits),
+        "licenses": _licences(limits),
     }
     options += [f"--{key}={value}" for key, value in named.items() if value]
     return (*options, *slurm.options)

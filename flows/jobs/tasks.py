@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from modetune.core.errors import ModetuneError, SolverCancelled
-from modetune.flows.jobs.progress import Display, Ended, Solution, title
+from modetune.flows.jobs.progress import Ended, JobProgress, Solution, title
 from modetune.flows.jobs.runner import Computation, Runner, Task, TaskRun, TaskState, task_state
 
 T = TypeVar("T")
@@ -78,7 +78,7 @@ class Tasks:
     """The tasks of one chain of work; part is its name if several run in parallel."""
 
     runner: Runner
-    watcher: Display | None = None
+    watcher: JobProgress | None = None
     part: str = ""
     _root: list[TaskRun] = field(default_factory=list)
     _modal: deque[TaskRun] = field(default_factory=lambda: deque(maxlen=UPSTREAM))

@@ -32,8 +32,8 @@ PROPERTIES = {"PELAS": ((1, 2), (5, 6)), "PMASS": ((1, 2), (3, 4), (5, 6), (7, 8
 BY_PROPERTY = {"CELAS1": "PELAS", "CELAS3": "PELAS", "CMASS1": "PMASS", "CMASS3": "PMASS"}
 #: Constraints: the first field of a point, and how far the next one is. A component follows.
 CONSTRAINTS = {"SPC": (2, 3), "MPC": (2, 3)}
-#: Fields of a GRID: of its place (with CP), its frame and what is fixed.
-PLACE, CD, FIXED = slice(2, 6), 6, 7
+#: Fields of a GRID: of its place (with CP), and its frame.
+PLACE, CD = slice(2, 6), 6
 ALL = "123456"
 #: The solver requires some more unknowns than modes.
 MORE_UNKNOWNS = 6

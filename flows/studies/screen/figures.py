@@ -194,9 +194,9 @@ def _bars(
     return replace(made, same_y=True, same_x=True)
 
 
-def _map(screening: Screening, table: Floats, colours: str, title: str = "") -> Panel:
+def _map(screening: Screening, table: Floats, colours: str) -> Panel:
     """A square table of the parameters as a colour map."""
     low = -1.0 if colours == "RdBu" else 0.0
     heat = HeatMap(table, "{row} and {column}: {value:.2f}", "", low, 1.0, colours)
     names = screening.names
-    return Panel((heat,), Axis(names=names, slant=60), Axis(names=names, turned=True), title)
+    return Panel((heat,), Axis(names=names, slant=60), Axis(names=names, turned=True))

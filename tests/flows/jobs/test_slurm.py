@@ -129,7 +129,8 @@ def test_a_result_from_slurm_is_a_result_from_here(bench: Any, asked: Any) -> No
 
 def test_inside_an_allocation_jobs_are_its_steps(bench: Any, asked: Any) -> None:
     campaign = on_slurm(bench, slurm={"partition": "batch"}, licences={"scripted": 1})
-    options = srun_options(job_engine(campaign), campaign.run.slurm, "x", {"SLURM_JOB_ID": "7"})
+    limits = job_engine(campaign).limits
+    options = srun_options(campaign.run.slurm, "x", 1, 60.0, limits, {"SLURM_JOB_ID": "7"})
     assert "--exact" in options
     assert not any(word.startswith(("--partition", "--licenses")) for word in options)
 

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from modetune.core.errors import ModesError, SolverCancelled
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.jobs.execution import EACH_A_TASK
-from modetune.flows.jobs.progress import Ended, doing
+from modetune.flows.jobs.progress import Ended, JobProgress, doing
 from modetune.flows.jobs.runner import Computation, PoolRunner, Task, TaskRun, TaskState, task_state
 from modetune.flows.jobs.tasks import StudyRun, Tasks, use_run
 from modetune.flows.studies.screen.request import ScreeningRequest
@@ -127,14 +128,12 @@ def test_the_names_of_tasks_distinguish_updates_in_parallel(bench: Bench) -> Non
         assert runner.states(title).total() == 1
 
 
-class Shown:
+class Shown(JobProgress):
     """A display that keeps how pieces ended."""
 
     def __init__(self) -> None:
+        super().__init__(Console(quiet=True))
         self.ended: list[Ended] = []
-
-    def submitted(self, tasks: int) -> None:
-        return
 
     def began(self, iteration: str, name: str) -> Callable[[Ended], None]:
         return self.ended.append
