@@ -150,23 +150,14 @@ class SensorMap:
         return replace(modes, mode_shapes=seen, nodes=self.nodes, components=self.components)
 
 
-@dataclass(frozen=True, slots=True)
-class NextNodes:
-    """The two model nodes next to each of some places.
+def next_nodes(places: Floats, mesh: Mesh) -> tuple[Integers, Floats]:
+    """Return the two nodes of a mesh next to each place (n, 3), nearest first, and the distances.
 
-    nodes: (n, 2), numbers, nearest first. distances: (n, 2); infinite where the mesh has one node.
+    Both are (n, 2); in a mesh of one node the second distance is infinite.
     """
-
-    nodes: Integers
-    distances: Floats
-
-
-def next_nodes(places: Floats, mesh: Mesh) -> NextNodes:
-    """The nodes of a mesh, with at least one, next to places (n, 3) in its axes and length."""
     distances, rows = scipy.spatial.KDTree(mesh.coordinates).query(places, k=2)
-    return NextNodes(
-        mesh.nodes[np.minimum(rows, mesh.nodes.size - 1)], np.asarray(distances, np.float64)
-    )
+    nodes = mesh.nodes[np.minimum(rows, mesh.nodes.size - 1)]
+    return nodes, np.asarray(distances, np.float64)
 
 
 def nodes_within(place: Floats, mesh: Mesh, distance: float) -> Integers:

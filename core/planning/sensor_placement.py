@@ -203,17 +203,6 @@ def off_diagonal_mac(sums: Floats) -> Floats:
     return np.asarray(np.minimum(table, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
-class Elimination:
-    """Candidates that are left, and those that went before.
-
-    kept: (count,), positions, ascending. removed: (n - count,), positions, the first to go first.
-    """
-
-    kept: Integers
-    removed: Integers
-
-
 def unit_modes(rows: Floats) -> Floats:
     """The same shapes with each mode of unit length over all candidates; zero stays zero."""
     lengths = np.sqrt(np.sum(rows**2, axis=(0, 1)))
@@ -230,10 +219,11 @@ def independence(rows: Floats) -> Floats:
     return _lost(_projector(rows, _inverse(rows)))
 
 
-def eliminate(rows: Floats, count: int) -> Elimination:
+def eliminate(rows: Floats, count: int) -> tuple[Integers, Integers]:
     """Take out the place with the least effective independence until `count` are left.
 
-    rows: (n, n_directions, n_modes). Raises ModesError where the shapes are not independent at all
+    rows: (n, n_directions, n_modes). Returns the positions that are left, ascending, and those
+    that went, the first to go first. Raises ModesError where the shapes are not independent at all
     places together, or so few cannot keep them so. Source: Kammer 1991.
     """
     rows, left = unit_modes(rows), np.arange(rows.shape[0])
@@ -247,7 +237,7 @@ def eliminate(rows: Floats, count: int) -> Elimination:
         gone = _spared(rows[left], min(REFRESH, left.size - count))
         removed.append(left[gone])
         left = np.delete(left, gone)
-    return Elimination(left, np.concatenate([np.zeros(0, np.int64), *removed]))
+    return left, np.concatenate([np.zeros(0, np.int64), *removed])
 
 
 def _spared(rows: Floats, number: int) -> Integers:
@@ -360,7 +350,7 @@ def by_effective_independence(rows: Floats, count: int, spacing: Spacing) -> Int
     """
     kept = spacing.thinned(independence(rows)) if spacing.distance > 0.0 else np.arange(len(rows))
     _enough(kept, count, spacing)
-    found = kept[eliminate(rows[kept], count).kept]
+    found = kept[eliminate(rows[kept], count)[0]]
     return found[order_of_use(rows[found])]
 
 
@@ -471,10 +461,10 @@ def needed_sensors(rows: Floats, count: int, limit: float = ALIKE) -> int | None
     rows: (n, n_directions, n_modes), far enough apart; limit: largest auto-MAC of two modes. None
     where not even all of them do. Raises ModesError as `eliminate`.
     """
-    went = eliminate(rows, count)
+    kept, removed = eliminate(rows, count)
     matrices = grams(unit_modes(rows))
-    there = matrices[went.kept].sum(axis=0)
-    for more, place in enumerate([None, *went.removed[::-1].tolist()]):
+    there = matrices[kept].sum(axis=0)
+    for more, place in enumerate([None, *removed[::-1].tolist()]):
         if place is not None:
             there = there + matrices[place]
         if off_diagonal_mac(there[None]).max() <= limit:

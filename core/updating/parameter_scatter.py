@@ -213,16 +213,6 @@ def lack_of_fit(tests: TestScatter, found: ParameterScatter, n_told: int) -> flo
     return float(chi2.sf(left, freedom))
 
 
-@dataclass(frozen=True, slots=True)
-class ScatterDraws:
-    """Draws from the posterior: means (n, n_parameters), covariances (n, n_free, n_free) of the
-    parameters that scatter, noise (n,), the variance of the measurement itself."""
-
-    means: Floats
-    covariances: Floats
-    noise: Floats
-
-
 def draw_scatter(
     tests: TestScatter,
     found: ParameterScatter,
@@ -230,9 +220,11 @@ def draw_scatter(
     rng: np.random.Generator,
     count: int = 2000,
     noise_told: bool = True,
-) -> ScatterDraws:
-    """Draws of mean and covariance, the model being linear around what was found.
+) -> tuple[Floats, Floats, Floats]:
+    """Draws from the posterior, the model being linear around what was found.
 
+    Means (n, n_parameters), covariances (n, n_free, n_free) of the parameters that scatter, and
+    the variance of the measurement itself (n,).
     noise_told: whether the measurement's own scatter is given with the tests; else it is found as
     one variance of all values. The first quarter of count is thrown away.
     """
@@ -269,7 +261,7 @@ def draw_scatter(
         if turn >= count // 4:
             kept.append((found.mean + mean, sigma, variance))
     means, covariances, variances = zip(*kept, strict=True)
-    return ScatterDraws(np.array(means), np.array(covariances), np.array(variances))
+    return np.array(means), np.array(covariances), np.array(variances)
 
 
 Groups = list[tuple[Floats, Floats]]

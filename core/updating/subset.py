@@ -72,19 +72,6 @@ class ForwardSelection:
         return float(1.0 - self.misfits[-1] / self.misfits[0]) if self.misfits[0] > 0.0 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class CollinearGroup:
-    """Columns that say the same.
-
-    members: positions, ascending. cosines: (n_members,), of each with the longest of them, signed:
-    the test determines only the sum of parameters of one sign, and the difference of parameters of
-    opposite signs.
-    """
-
-    members: tuple[int, ...]
-    cosines: Floats
-
-
 def qr_order(sensitivity: Floats) -> QrOrder:
     """Columns in the order of QR with pivoting. Raises CampaignError.
 
@@ -169,8 +156,8 @@ def column_cosines(sensitivity: Floats) -> Floats:
 
 def collinear_groups(
     sensitivity: Floats, threshold: float = COLLINEAR
-) -> tuple[CollinearGroup, ...]:
-    """Return groups of columns with the same effect, by their first member; singles are none.
+) -> tuple[tuple[int, ...], ...]:
+    """Return the positions of columns with the same effect, by their first; singles are none.
 
     sensitivity: (n_residuals, n_parameters), weighted; threshold: least |cosine| of two like
     columns. Raises CampaignError.
@@ -178,18 +165,11 @@ def collinear_groups(
     _check(sensitivity)
     if not 0.0 < threshold <= 1.0:
         raise CampaignError(f"the threshold of collinear columns is in (0, 1], not {threshold:g}")
-    cosines = column_cosines(sensitivity)
     # 1e-12: the cosine of two equal columns misses 1 by rounding.
-    alike = np.abs(cosines) >= threshold - 1e-12
+    alike = np.abs(column_cosines(sensitivity)) >= threshold - 1e-12
     _, labels = connected_components(alike, directed=False)
-    lengths = np.linalg.norm(sensitivity, axis=0)
-    groups = []
-    for label in dict.fromkeys(labels.tolist()):
-        members = np.flatnonzero(labels == label)
-        if members.size > 1:
-            longest = members[np.argmax(lengths[members])]
-            groups.append(CollinearGroup(tuple(members.tolist()), cosines[members, longest]))
-    return tuple(groups)
+    groups = (np.flatnonzero(labels == label) for label in dict.fromkeys(labels.tolist()))
+    return tuple(tuple(members.tolist()) for members in groups if members.size > 1)
 
 
 def _check(sensitivity: Floats) -> None:

@@ -360,19 +360,19 @@ class _Mapper:
         nodes = dict.fromkeys(self.dofs, missing)
         if not at:
             return nodes
-        found = next_nodes(np.array([*at.values()]), self.mesh)
+        next_ones, distances = next_nodes(np.array([*at.values()]), self.mesh)
         carried = self._carried(
             {point: place for point, place in at.items() if point not in self.match},
-            {point: float(found.distances[row, 0]) for row, point in enumerate(at)},
+            {point: float(distances[row, 0]) for row, point in enumerate(at)},
         )
         nearest = {
             point: self._matched(self.match[point], place)
             if point in self.match
-            else self._nearest(found.nodes[row], found.distances[row])
+            else self._nearest(next_ones[row], distances[row])
             for row, (point, place) in enumerate(at.items())
         } | carried
         nodes |= {sensor: nearest[sensor[0]] for sensor in nodes if sensor[0] in nearest}
-        held = np.isin(found.nodes, np.fromiter(self.fixed, np.int64, len(self.fixed))).any(axis=1)
+        held = np.isin(next_ones, np.fromiter(self.fixed, np.int64, len(self.fixed))).any(axis=1)
         near = {point for point, is_held in zip(at, held, strict=True) if is_held}
         near -= self.match.keys() | carried.keys()
         for (point, component), direction, rests in zip(

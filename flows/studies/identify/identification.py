@@ -62,15 +62,6 @@ class IdentificationSettings:
     criteria: Criteria = field(default_factory=Criteria)
 
 
-@dataclass(frozen=True, slots=True)
-class ChosenPoles:
-    """Poles to be fitted, ascending in frequency: places of the modes in it, and their tracks."""
-
-    poles: Complexes
-    modes: Integers
-    tracks: tuple[int, ...]
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class Identification:
     """Modes of a set of response functions, and how good they are.
@@ -123,8 +114,8 @@ def identify(frfs: MeasuredFrfs, settings: IdentificationSettings) -> Identifica
     scaled = np.asarray(used.values / np.sqrt(np.mean(np.abs(used.values) ** 2, axis=0)))
     orders = _orders(lines, scaled, used.kind, settings)
     tracks = follow_poles(orders, settings.criteria)
-    choice = _choose(lines, scaled, used.kind, tracks, settings, notes)
-    fit = fit_residues(lines, used.values, choice.poles, used.kind).select(choice.modes)
+    fitted, kept, chosen = _choose(lines, scaled, used.kind, tracks, settings, notes)
+    fit = fit_residues(lines, used.values, fitted, used.kind).select(kept)
     poles = fit.poles
     driving = _driving_points(used)
     dofs, shapes = _shapes(used, fit, driving, notes)
@@ -153,7 +144,7 @@ def identify(frfs: MeasuredFrfs, settings: IdentificationSettings) -> Identifica
         frac=alike,
         orders=orders,
         tracks=tracks,
-        chosen=choice.tracks,
+        chosen=chosen,
         driving_points=driving,
         notes=(),
     )
@@ -180,8 +171,8 @@ def _choose(
     tracks: tuple[Track, ...],
     settings: IdentificationSettings,
     notes: list[str],
-) -> ChosenPoles:
-    """What to fit, and what of it is a mode."""
+) -> tuple[Complexes, Integers, tuple[int, ...]]:
+    """The poles to fit, ascending in frequency, places of the modes in them, and their tracks."""
     criteria, enough = settings.criteria, settings.criteria.enough(settings.order)
     picked = pick_tracks(tracks, settings.pick, criteria) if settings.pick else ()
     # Poles that were not picked are fitted too: without them their neighbours would be biased.
@@ -210,7 +201,7 @@ def _choose(
     order = np.argsort(np.abs(poles))
     places = [fitted[k] for k in order]
     modes = np.array([k for k, place in enumerate(places) if not picked or place in picked])
-    return ChosenPoles(poles[order], modes, tuple(places[k] for k in modes))
+    return poles[order], modes, tuple(places[k] for k in modes)
 
 
 def _poles(tracks: tuple[Track, ...], places: list[int]) -> Complexes:

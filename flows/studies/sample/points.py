@@ -40,14 +40,6 @@ MOST_FAILED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class SolvedPoints:
-    """Points that were solved: residuals and job keys."""
-
-    training: Training
-    keys: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class ReducedFeatures:
     """The residual at any set by a reduced model, in standard deviations of the test.
 
@@ -102,8 +94,8 @@ class PointSolver:
 
     def solve(
         self, title: str, points: Floats, around: int = 0, grows: bool = True
-    ) -> SolvedPoints:
-        """Return residuals at points (n, n_parameters) without those that fail, with a warning.
+    ) -> tuple[Training, tuple[str, ...]]:
+        """Return residuals at points (n, n_parameters), and their keys; warn of those that fail.
 
         around: minimum number of best-fitting points from which to track modes, 0 for all known
         points. grows: add the new points to them. Raises CampaignError if more than half fail;
@@ -124,8 +116,7 @@ class PointSolver:
         self._tell(failed, len(points))
         responses, names = response_names(self.known[0])
         rows = np.array(values).reshape(-1, responses.size)
-        training = Training(points[places], rows, responses, names)
-        return SolvedPoints(training, tuple(keys))
+        return Training(points[places], rows, responses, names), tuple(keys)
 
     def fitting(
         self, least: int, more: Sequence[Evaluation] = ()

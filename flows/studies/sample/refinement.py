@@ -129,10 +129,9 @@ def learn(
     too poor; SolverError, StoreError.
     """
     tell(f"{points.shape[0]} sets over the range")
-    solved = solver.solve("training", points)
-    best = np.argsort((solved.training.values**2).sum(axis=1))[:MOST_LEARNED]
-    training = solved.training.some(np.sort(best))
-    keys = tuple(solved.keys[place] for place in np.sort(best).tolist())
+    solved, names = solver.solve("training", points)
+    best = np.sort(np.argsort((solved.values**2).sum(axis=1))[:MOST_LEARNED])
+    training, keys = solved.some(best), tuple(names[place] for place in best.tolist())
     begun = len(keys)
     each = 2 * points.shape[1] + 2
     left, batch = (MOST_SETS, BATCHES * each) if reduced else (more, each)
@@ -148,13 +147,15 @@ def learn(
             else new_points(learned, min(batch, left), walkers, rng)
         )
         tell(f"{new.shape[0]} sets near the posterior")
-        solved = solver.solve("training near the posterior", new, each, grows=reduced is None)
-        if good and len(solved.keys) == len(new):
-            error = density_error(solved.training.values, learned.missed(solved.training))
+        solved, names = solver.solve(
+            "training near the posterior", new, each, grows=reduced is None
+        )
+        if good and len(names) == len(new):
+            error = density_error(solved.values, learned.missed(solved))
             if error <= EXACT:
                 return replace(learned, density_error=error)
         left -= new.shape[0]
-        training, keys = training.plus(solved.training), keys + solved.keys
+        training, keys = training.plus(solved), keys + names
     if reduced:
         tell("looking for the posterior by the reduced model itself")
         return learned.by_model(replace(reduced, known=solver.fitting(each)[0]), rng)
@@ -233,11 +234,10 @@ def check(
     if count is None:
         count = FEW if solver.evaluator.range_use else CHECKS
     drawn = chains.flat[rng.choice(chains.flat.shape[0], count, replace=len(chains.flat) < count)]
-    solved = solver.solve("checks", drawn) if count else None
-    if solved is None or not solved.keys:
+    solved, keys = solver.solve("checks", drawn) if count else (learned.training, ())
+    if not keys:
         return Checks(drawn[:0], (), np.full(len(learned.training.names), np.nan))
-    errors = solved.training.sizes(learned.missed(solved.training))
-    return Checks(solved.training.points, solved.keys, errors)
+    return Checks(solved.points, keys, solved.sizes(learned.missed(solved)))
 
 
 def _learned(

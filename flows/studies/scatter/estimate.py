@@ -168,7 +168,7 @@ def _nearer(known: PosteriorModel, rng: np.random.Generator) -> PosteriorModel:
     for point, covariance in zip(learned.peaks.points, learned.peaks.covariances, strict=True):
         sets = rng.multivariate_normal(point, covariance, count)
         sets = np.clip(sets, parameters.lower, parameters.upper)
-        training = training.plus(known.solver.solve("sets around an answer", sets, count).training)
+        training = training.plus(known.solver.solve("sets around an answer", sets, count)[0])
     posterior = learned.posterior
     surrogate = fit_surrogate(training, posterior.lower, posterior.upper)
     return replace(known, learned=replace(learned, training=training, surrogate=surrogate))
@@ -220,20 +220,20 @@ def _answer(
     sets[1:, before.free] += spread
     missed = _missed(known, sets, values)
     found = _corrected(found, tests, before, missed[0])
-    drawn = draw_scatter(tests, found, before, rng, SWEEPS, told)
-    deviations = np.sqrt(np.diagonal(drawn.covariances, axis1=1, axis2=2))
+    means, covariances, noise = draw_scatter(tests, found, before, rng, SWEEPS, told)
+    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     ends = [0.025, 0.975]
     n_told = before.free.size * (before.free.size + 1) // 2 + (not told)
-    every = max(1, len(drawn.means) // KEPT)
+    every = max(1, len(means) // KEPT)
     answer = ScatterAnswer(
         share=np.nan,
         mean=found.mean,
         covariance=found.covariance,
         linear_covariance=linear.covariance,
-        mean_interval=np.quantile(drawn.means, ends, axis=0),
+        mean_interval=np.quantile(means, ends, axis=0),
         deviation_interval=np.quantile(deviations, ends, axis=0),
-        noise_interval=np.sqrt(np.quantile(drawn.noise, ends)),
-        draws=drawn.means[::every],
+        noise_interval=np.sqrt(np.quantile(noise, ends)),
+        draws=means[::every],
         deviation_draws=deviations[::every],
         predicted=found.predicted,
         predicted_covariance=found.predicted_covariance + tests.noise,
@@ -290,11 +290,11 @@ def _missed(known: PosteriorModel, sets: Floats, values: MeasuredValues) -> Floa
     """What full solutions have more than what was learned, (n, m)."""
     parameters = known.campaign.parameters
     inside = np.clip(sets, parameters.lower, parameters.upper)
-    solved = known.solver.solve("checks", inside)
-    if len(solved.keys) < len(sets):
+    solved, keys = known.solver.solve("checks", inside)
+    if len(keys) < len(sets):
         raise CampaignError("a set of an answer cannot be solved; narrow the parameters' bounds")
-    truth = solved.training.values
-    return values.of(truth) - values.of(truth - known.learned.missed(solved.training))
+    truth = solved.values
+    return values.of(truth) - values.of(truth - known.learned.missed(solved))
 
 
 def _corrected(

@@ -138,7 +138,7 @@ def _apart(
         return (), []
     columns = candidates.weighted[:, alive]
     found = collinear_groups(columns, COLLINEAR)
-    groups = tuple(tuple(alive[member] for member in group.members) for group in found)
+    groups = tuple(tuple(alive[member] for member in group) for group in found)
     lengths, cosines = np.linalg.norm(columns, axis=0), column_cosines(columns)
     kept: list[int] = []
     for column in np.argsort(-lengths, kind="stable").tolist():

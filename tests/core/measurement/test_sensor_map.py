@@ -95,15 +95,15 @@ def square(cells: tuple[Cells, ...] = ()) -> Mesh:
 
 
 def test_the_next_two_nodes_are_found_with_their_distances() -> None:
-    found = next_nodes(np.array([[3.0, 0.0, 0.0]]), square())
-    assert found.nodes.tolist() == [[2, 5]]
-    np.testing.assert_allclose(found.distances, [[1.0, np.sqrt(5.0)]])
+    nodes, distances = next_nodes(np.array([[3.0, 0.0, 0.0]]), square())
+    assert nodes.tolist() == [[2, 5]]
+    np.testing.assert_allclose(distances, [[1.0, np.sqrt(5.0)]])
 
 
 def test_a_mesh_of_one_node_has_no_second() -> None:
-    found = next_nodes(np.zeros((1, 3)), Mesh(np.array([7]), np.ones((1, 3)), ()))
-    assert found.nodes[0, 0] == 7
-    np.testing.assert_allclose(found.distances, [[np.sqrt(3.0), np.inf]])
+    nodes, distances = next_nodes(np.zeros((1, 3)), Mesh(np.array([7]), np.ones((1, 3)), ()))
+    assert nodes[0, 0] == 7
+    np.testing.assert_allclose(distances, [[np.sqrt(3.0), np.inf]])
 
 
 def test_directions_are_turned_into_the_axes_of_a_nodes_results() -> None:

@@ -102,9 +102,9 @@ def test_intervals_cover_what_they_say() -> None:
         random = np.random.default_rng([7, seed])
         tests = measured_by(chain(random.multivariate_normal(MEAN, TRUTH, 500)))
         found = match_scatter(tests, chain, REACH, beforehand(), np.ones(3), draws)
-        drawn = draw_scatter(tests, found, beforehand(), random, 240)
-        sizes = np.sqrt(np.diagonal(drawn.covariances, axis1=1, axis2=2))
-        for values, true in ((drawn.means, MEAN), (sizes, SIZES)):
+        means, covariances, _ = draw_scatter(tests, found, beforehand(), random, 240)
+        sizes = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        for values, true in ((means, MEAN), (sizes, SIZES)):
             low, high = np.quantile(values, [0.025, 0.975], axis=0)
             inside.append((low <= true) & (true <= high))
     assert 0.90 <= np.mean(inside) <= 0.99  # of 180 intervals of 95 %
@@ -118,13 +118,13 @@ def test_one_parameter_has_the_posterior_of_a_closed_form() -> None:
     tests = TestScatter(values, np.zeros(1), np.array([[s**2]]), np.zeros((1, 1)), n)
     before = Beforehand(np.zeros(1), np.array([5.0]), np.arange(1))
     found = match_scatter(tests, lambda sets: sets, np.array([1e-3]), before, np.zeros(1))
-    drawn = draw_scatter(tests, found, before, np.random.default_rng(1), 4000)
+    _, covariances, _ = draw_scatter(tests, found, before, np.random.default_rng(1), 4000)
     sigma = np.linspace(0.01, 3.0, 30_000)
     log = -(n - 1) * np.log(sigma) - (n - 1) * s**2 / (2 * sigma**2)
     log -= 1.5 * np.log1p((sigma / 5.0) ** 2 / 2.0)  # half-t of 2 degrees of freedom
     weight = np.cumsum(np.exp(log - log.max()))
     expected = np.interp([0.025, 0.5, 0.975], weight / weight[-1], sigma)
-    got = np.quantile(np.sqrt(drawn.covariances[:, 0, 0]), [0.025, 0.5, 0.975])
+    got = np.quantile(np.sqrt(covariances[:, 0, 0]), [0.025, 0.5, 0.975])
     # 3,000 hardly correlated draws: quantiles at the ends to 2 %, three times that.
     np.testing.assert_allclose(got, expected, rtol=0.06)
 
@@ -144,10 +144,10 @@ def test_gaps_and_the_measurements_own_scatter_are_told_apart() -> None:
     tests = TestScatter(values, tests.mean, tests.covariance, noise * np.eye(4), 500)
     found = match_scatter(tests, linear, REACH, free, np.ones(3))
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), SIZES[[0, 2]], rtol=0.1)
-    drawn = draw_scatter(tests, found, free, random, 600, noise_told=False)
-    low, high = np.sqrt(np.quantile(drawn.noise, [0.005, 0.995]))
+    means, _, variances = draw_scatter(tests, found, free, random, 600, noise_told=False)
+    low, high = np.sqrt(np.quantile(variances, [0.005, 0.995]))
     assert low < 0.01 < high < 1.2 * low
-    ends = np.quantile(drawn.means, [0.005, 0.995], axis=0)
+    ends = np.quantile(means, [0.005, 0.995], axis=0)
     assert ((ends[0] < MEAN) & (MEAN < ends[1])).all()
 
 

@@ -55,7 +55,7 @@ def test_sets_that_were_tracked_from_mistaken_ones_are_tracked_again(tmp_path: P
         solver.known[2] = mistaken(solver.known[2])
         wrong = solver.evaluator.tracked(solver.known[1], solver.known[2:])
         assert wrong.pairing.computed.tolist() == [0, 2, 1]
-        found = solver.solve("near", near, around=3, grows=False).training
+        found = solver.solve("near", near, around=3, grows=False)[0]
     measured, computed = (frequencies(sets)[:, :N_MODES] ** 2 for sets in (truth[None], near))
     expected = (measured - computed) / measured / (2.0 * DEVIATION)
     # The test's file has 12 digits of a frequency, in hundredths of which residuals are.
@@ -70,8 +70,8 @@ def test_of_many_sets_those_that_fit_are_kept(
     some = np.array(TRUTH) + np.linspace(-0.6, 0.6, 13)[:, None] * np.array([1.0, 0.2])
     with row_solver(tmp_path) as solver:
         solver.solve("start", np.ones((1, 2)))
-        found = solver.solve("known", some)
+        found, keys = solver.solve("known", some)
         kept = [item.theta[0] for item in solver.known[1:]]
-    assert len(found.keys) == len(some)
-    best = np.argsort((found.training.values**2).sum(axis=1))[:4]
+    assert len(keys) == len(some)
+    best = np.argsort((found.values**2).sum(axis=1))[:4]
     assert sorted(kept) == sorted(some[best, 0])
