@@ -97,13 +97,16 @@ def test_points_close_together_are_as_exact_as_they_are_close() -> None:
     def residual(points: Floats) -> Floats:  # no misfit where the points are close together
         return waves(points) - waves(np.ones((1, 2)))
 
-    truth = training(close(200, seed=9), residual)
-    far, near = (
-        missed(fit_surrogate(training(points, residual), LOWER, UPPER), truth)
-        for points in (spread(40), np.vstack([spread(20), close(20)]))
-    )
+    truth, falls = training(close(200, seed=9), residual), []
+    for seed in range(1, 8):
+        far, near = (
+            missed(fit_surrogate(training(points, residual), LOWER, UPPER), truth)
+            for points in (spread(40, seed), np.vstack([spread(20, seed), close(20, seed)]))
+        )
+        falls.append(near / far)
     # Half the points lie 200 times as close: what splines miss falls with a power of that above 2.
-    assert np.all(near < NARROW**2 * far)
+    # Single draws leave out a corner of the points that are asked for, so the median counts.
+    assert np.all(np.median(falls, axis=0) < NARROW**2)
 
 
 @pytest.mark.parametrize("n", [1, 3, 5])
