@@ -105,7 +105,7 @@ def test_points_close_together_are_as_exact_as_they_are_close() -> None:
         )
         falls.append(near / far)
     # Half the points lie 200 times as close: what splines miss falls with a power of that above 2.
-    # Single draws leave out a corner of the points that are asked for, so the median counts.
+    # Where orders fit nearly alike the last digits choose one: the median of the draws counts.
     assert np.all(np.median(falls, axis=0) < NARROW**2)
 
 
