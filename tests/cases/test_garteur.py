@@ -1,4 +1,4 @@
-"""The coarse GARTEUR aircraft on real CalculiX: sensitivities, the twin, e2, the thesis's case."""
+"""The coarse GARTEUR aircraft on real CalculiX: sensitivities, the twin, the thesis's case."""
 
 from __future__ import annotations
 
@@ -184,18 +184,6 @@ def test_noise_leaves_the_wing_within_two_per_cent(folder: Path, watcher: Any) -
     wing = record.parameters.names.index("E_wing")
     assert record.updated[wing] == pytest.approx(TRUTH["WING"], rel=0.02)
     assert record.standard_errors[wing] < 0.01
-
-
-def test_e2_saves_sensitivity_jobs_and_ends_at_the_same_moduli(folder: Path, watcher: Any) -> None:
-    by_differences = "sensitivity={method: finite_difference, step: 0.01}"
-    settings = (by_differences, "update.e1.frequency=1.0e-6", "update.max_iterations=10")
-    always = run(folder, watcher, "twin.yaml", *settings)
-    skipping = run(folder, watcher, "twin.yaml", *settings, "update.e2=0.12")
-    assert always.status == skipping.status == "converged"
-    assert sum(item.sensitivity_skipped for item in skipping.iterations) >= 1
-    ran = [r.runs.sensitivity + r.runs.reused for r in (always, skipping)]
-    assert ran[1] < ran[0]
-    np.testing.assert_allclose(skipping.updated, always.updated, rtol=1e-3)
 
 
 def test_the_thesiss_case_on_the_coarse_mesh_beats_its_errors(folder: Path, watcher: Any) -> None:
