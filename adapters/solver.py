@@ -458,6 +458,10 @@ class Deck(Protocol):
         """
         return nothing_known(nodes.size, matrices.nodes.size)
 
+    def freedoms(self, matrices: MatrixResult) -> tuple[Integers, Integers]:
+        """Return the node of the mesh and the component 1..6 of each equation, (n_equations,)."""
+        return matrices.nodes, matrices.components
+
     def undamped(self) -> str:
         """Why damping cannot be computed; empty where `damping` gives it."""
         return f"{self.summary.name}: no damping is known of this model"

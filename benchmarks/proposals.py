@@ -1,12 +1,13 @@
 """How often `modetune localise` proposes what a model really lacks.
 
-    python -m benchmarks.proposals [--runs 100] [--seed 1] [--kinds mass spring softened none]
+    python -m benchmarks.proposals [--runs 100] [--seed 1] [--kinds mass spring clamp softened none]
 
 Each twin is a structure of the zoo whose true model, solved by its own program, has one change that
 the campaign does not know; its test has 0.2 % of noise on frequencies and 5 % on shapes.
 
     mass       a point mass of 1 to 20 % of the model's at a random node
     spring     a spring to the ground at a random node, of a stiffness like the place's own
+    clamp      supports that yield: springs in place of all of them, or of one rotation of a stick
     softened   a material whose modulus is 0.5 to 0.8 or 1.25 to 2 times what the campaign, which
                does not update it, takes
     none       nothing
@@ -36,6 +37,7 @@ import numpy as np
 from benchmarks.zoo.__main__ import truth_of
 from benchmarks.zoo.families import FAMILIES
 from benchmarks.zoo.structure import Generator, Structure
+from threadpoolctl import threadpool_limits
 
 import modetune
 from modetune.configs.measuring import noisy
@@ -47,11 +49,18 @@ from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.mode_source import Demand
 
 FREQUENCY_NOISE, SHAPE_NOISE = 0.002, 0.05
-KINDS = ("mass", "spring", "softened", "none")
+KINDS = ("mass", "spring", "clamp", "softened", "none")
 #: Frames, shells, solids from a mesher, sticks of a Nastran deck, and matrices.
 OF = ("tower", "grillage", "stiffened_plate", "tube", "bracket", "soft_mounts", "stick", "chain")
 #: Kinds of changes that stand for the hidden one.
-NAMES = {"mass": "point mass", "spring": "spring to ground", "softened": "group"}
+NAMES = {
+    "mass": "point mass",
+    "spring": "spring to ground",
+    "clamp": "yielding support",
+    "softened": "group",
+}
+#: Families whose supports can yield, and N/mm or N mm of a spring that then holds them.
+CLAMPED = {"bracket": (1e3, 1e5), "stick": (1e7, 1e9)}
 #: Smaller effects cannot be seen; a smaller difference of misfits cannot be told apart.
 SEEN, ALIKE = 25.0, 9.0
 
@@ -94,6 +103,8 @@ def hidden_change(structure: Structure, kind: str, rng: Generator, mass: float) 
     if kind == "softened":
         last = structure.parameters[-1]
         return Hidden(structure, f"{last['name']}", material=str(last["material"]))
+    if kind == "clamp":
+        return _yielding(structure, rng)
     node = int(rng.choice(structure.sensors))
     if isinstance(deck, dict):
         added = np.array(deck["mass" if kind == "mass" else "stiffness"], dtype=np.float64)
@@ -122,6 +133,34 @@ def hidden_change(structure: Structure, kind: str, rng: Generator, mass: float) 
         text = before + cards + step + after
     about = f"{kind} {value:.4g} at {node}" + (f".{component}" if kind == "spring" else "")
     return Hidden(replace(structure, deck=text), about, node, component)
+
+
+def _yielding(structure: Structure, rng: Generator) -> Hidden:
+    """The structure on springs, all translations of solids' nodes or one rotation of a stick."""
+    deck = str(structure.deck)
+    low, high = np.log(CLAMPED[structure.family])
+    value = f"{np.exp(rng.uniform(low, high)):.6g}"
+    if deck.startswith("SOL"):
+        component = int(rng.choice((5, 6)))
+        others = "123456".replace(str(component), "")
+        spring = f"CELAS2,999999,{value},1,{component}\n"
+        deck = deck.replace("SPC1,1,123456,1", f"SPC1,1,{others},1\n{spring.strip()}")
+        return Hidden(
+            replace(structure, deck=deck), f"spring {value} at 1.{component}", 1, component
+        )
+    before, _, rest = deck.partition("*BOUNDARY\n")
+    held, after = [], rest.splitlines(keepends=True)
+    while after and not after[0].startswith("*"):
+        held.append(after.pop(0).split(",")[0].strip())
+    springs = "".join(
+        f"*ELEMENT, TYPE=SPRING1, ELSET=HIDDEN{axis}\n"
+        + "".join(f"{990000 + 3 * n + axis}, {node}\n" for n, node in enumerate(held))
+        + f"*SPRING, ELSET=HIDDEN{axis}\n{axis}\n{value}\n"
+        for axis in (1, 2, 3)
+    )
+    return Hidden(
+        replace(structure, deck=before + springs + "".join(after)), f"springs of {value} a node"
+    )
 
 
 def campaign_of(structure: Structure, test: ModeSet, folder: Path) -> Campaign:
@@ -243,7 +282,10 @@ def _right(
     if kind == "none":
         return False
     if change.kind == NAMES[kind]:
-        if kind == "softened":
+        if kind == "clamp":
+            if change.component == hidden.component:
+                return True
+        elif kind == "softened":
             if change.quantity is not None and hidden.material in change.quantity.targets:
                 return True
         elif hidden.node in change.nodes and (
@@ -257,9 +299,20 @@ def _right(
     return refined is not None and refined[1] < ALIKE
 
 
-def _has_materials(family: str) -> bool:
+def _has(family: str, kind: str) -> bool:
+    """Whether a family has such changes."""
+    if kind == "clamp":
+        return family in CLAMPED
+    if kind != "softened":
+        return True
     parameters = FAMILIES[family](np.random.default_rng(1)).parameters
     return len(parameters) > 1 and "material" in parameters[-1]
+
+
+def _quiet() -> None:
+    """Each worker has one core."""
+    logging.disable(logging.WARNING)
+    threadpool_limits(1)
 
 
 def table(outcomes: list[Outcome]) -> str:
@@ -305,12 +358,10 @@ def main() -> None:
         for place in range(each)
         for kind in asked.kinds
         for family in asked.families
-        if kind != "softened" or _has_materials(family)
+        if _has(family, kind)
     ]
     outcomes = []
-    with ProcessPoolExecutor(
-        asked.workers, initializer=logging.disable, initargs=(logging.WARNING,)
-    ) as pool:
+    with ProcessPoolExecutor(asked.workers, initializer=_quiet) as pool:
         for outcome in pool.map(try_twin, *zip(*twins, strict=True)):
             outcomes.append(outcome)
             said = outcome.failed.strip().splitlines()[-1:] or [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -58,12 +58,13 @@ class EditedCalculix:
     """A model with some lines of its deck changed.
 
     frames: axes in which shapes are wanted, by node, if this deck is the translation of another;
-    None if it is the user's.
+    None if it is the user's. carriers: nodes whose translations are the rotations of others.
     """
 
     structure: CalculixStructure
     changed: dict[int, str]
     frames: Mapping[int, Floats] | None = None
+    carriers: Mapping[int, int] = field(default_factory=dict)
 
     def texts(self) -> list[str]:
         """The lines of the deck as they are now."""

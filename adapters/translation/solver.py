@@ -139,6 +139,14 @@ class TranslatedDeck(NastranModel):
         turn.eliminate_zeros()
         return basic.turned(turn)
 
+    def freedoms(self, matrices: MatrixResult) -> tuple[Integers, Integers]:
+        nodes, components = matrices.nodes.copy(), matrices.components.copy()
+        carriers = self.edited({}).carriers
+        turning = np.isin(nodes, list(carriers))
+        nodes[turning] = [carriers[node] for node in nodes[turning].tolist()]
+        components[turning] += 3
+        return nodes, components
+
     def load_case(self, number: int, values: Values | None = None) -> LoadCase:
         found = super().load_case(number)
         if found.acceleration.any():
@@ -175,8 +183,10 @@ class TranslatedDeck(NastranModel):
             self._shells.append(translation.shells)
         lines = changed_numbers(nominal.structure, translation.deck) if nominal else None
         if nominal is not None and lines is not None:
-            return EditedCalculix(nominal.structure, lines, translation.frames)
-        return EditedCalculix(understand(translation.deck), {}, translation.frames)
+            return replace(nominal, changed=lines, frames=translation.frames)
+        return EditedCalculix(
+            understand(translation.deck), {}, translation.frames, translation.carriers
+        )
 
     def _edited_shells(
         self, nominal: EditedCalculix, changed: dict[int, str]
@@ -197,7 +207,7 @@ class TranslatedDeck(NastranModel):
             for place, text in enumerate(texts, card.lines.start + 1):
                 if deck.lines[place].text != text:
                     lines[place] = text
-        return EditedCalculix(nominal.structure, lines, nominal.frames)
+        return replace(nominal, changed=lines)
 
     def _of_shells(self, changed: dict[int, str]) -> bool:
         """Return whether these lines belong only to properties of shells and their materials."""

@@ -148,7 +148,8 @@ class Translation:
     whose output frame is not the basic one. sets: names of all element sets of structural
     elements. grids: the bulk data's grid points, ascending. mass: mass properties that the cards
     say, WTMASS in them; mass_check: a sentence on how the translated ones agree, empty
-    without that comparison. shells: the materials of their laws.
+    without that comparison. shells: the materials of their laws. carriers: nodes whose
+    translations are the rotations of a grid point, and that point.
     """
 
     deck: KeywordDeck
@@ -158,6 +159,7 @@ class Translation:
     mass: MassProperties
     mass_check: str
     shells: WrittenShells
+    carriers: dict[int, int]
 
     @property
     def text(self) -> str:
@@ -225,7 +227,8 @@ def translate(
     frames = {number: frame for number, frame in freedoms.frames.items() if number in bulk.nodes}
     sets = tuple(name for name in builder.sets if re.fullmatch(r"[PE]\d+", name))
     grids = tuple(sorted(bulk.nodes))
-    return Translation(deck, frames, sets, grids, expected, check, written)
+    carriers = {carrier: node for node, carrier in freedoms.turn_nodes.items()}
+    return Translation(deck, frames, sets, grids, expected, check, written, carriers)
 
 
 def _builder(bulk: Any) -> CalculixText:

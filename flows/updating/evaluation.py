@@ -22,6 +22,7 @@ from modetune.core.correlation.pairing import (
     next_pairing,
     uncertain_pairs,
 )
+from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet
 from modetune.core.updating.criteria import Tolerances, agrees, frequency_errors
 from modetune.core.updating.job_results import ModalResult
@@ -231,6 +232,8 @@ def _paired(
     others = np.zeros(0) if case.held_out is None else case.held_out.modes.frequencies_hz
     drop = drop or (rules.drop and not test.has_shapes)  # more modes would not change the order
     pairing = first_pairing(test, seen, rules, resolution, others, drop)
+    if test.modes.n_modes and not pairing.measured.size:
+        raise ModesError("no measured mode has a partner among the computed modes")
     refuse_uncertain(test, seen, pairing, rules)
     return seen, pairing
 

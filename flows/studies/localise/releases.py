@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from modetune.adapters.solver import RigidLink
+from modetune.adapters.solver import Deck, RigidLink
 from modetune.core.algebra.matrices import MatrixResult, upper_product
 from modetune.core.correlation.correlation import rigid_body_shapes
 from modetune.core.errors import ModelError, NoResult
@@ -68,7 +68,11 @@ def released_model(
         logger.info("supports and links are not released: %s", error)
         return None
     here = matrices.at(source.written(theta))
-    seen = _tie(deck.observation(base, here.nodes, here.components).matrix, base, here)
+    seen = deck.observation(base, here.nodes, here.components).matrix
+    observed = free.observation(here, *rows)
+    loads = free.observation(here, places.load_nodes, places.load_components)
+    here, base = (_of_mesh(own, of) for own, of in ((here, free), (base, deck)))
+    seen = _tie(seen, base, here)
     if seen is None or not _is_same(seen, here, base):
         logger.info("supports and links are not released: the free model is not the same one")
         return None
@@ -76,12 +80,16 @@ def released_model(
     patterns, groups = _patterns(found, here, seen, modes, deck.mesh())
     if not groups:
         return None
-    observed = free.observation(here, *rows)
-    loads = free.observation(here, places.load_nodes, places.load_components)
     return (
         Released(matrices, seen, observed.matrix, sparse.csr_array(loads.matrix.T), patterns),
         groups,
     )
+
+
+def _of_mesh(matrices: MatrixResult, deck: Deck) -> MatrixResult:
+    """Return matrices with the names that the mesh has for their equations."""
+    nodes, components = deck.freedoms(matrices)
+    return replace(matrices, nodes=nodes, components=components)
 
 
 def _tie(seen: sparse.csr_array, base: MatrixResult, free: MatrixResult) -> sparse.csr_array | None:
