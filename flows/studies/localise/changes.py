@@ -8,7 +8,8 @@ logarithmic scale, every place of the kind too.
 | point mass, masses of all sensors | 10^-4 and 0.3 of the model's mass |
 | inertia | the same times the square of a tenth of the model's size |
 | spring to the ground, spring between close nodes | 10^-3 and 10^3 of the place's own stiffness |
-| support or rigid link that yields, by freedom | 10^-2 and 10^4 of what the rest resists there |
+| support or rigid link that yields, by freedom | 10^-2 of the least and 10^4 of the median that the
+                                                   rest resists there |
 | absorber | 10^-3 and 0.2 of the mass; half the first and 1.5 times the last test frequency |
 | quantity of a group | 1/5 and 5 times the deck's |
 """
@@ -256,7 +257,9 @@ def _yielding(
     released: Sequence[ReleasedGroup], n_loads: int, loaded: AttachedModel
 ) -> Iterator[ModelChange]:
     whole = loaded.whole
-    resists = np.diag(whole.base_stiffness - whole.shift * whole.base_mass)[loaded.size + n_loads :]
+    own = slice(loaded.size + n_loads, None)
+    energy = whole.base_stiffness[own, own] - whole.shift * whole.base_mass[own, own]
+    resists = np.diag(energy)
     largest = {
         turning: max((float(resists[list(g.columns)].max()) for g in released
                       if (g.component > 3) == turning), default=0.0)
@@ -264,11 +267,15 @@ def _yielding(
     }  # fmt: skip
     for group in released:
         loads = tuple(n_loads + column for column in group.columns)
-        stiffness = float(np.median(resists[list(group.columns)]))  # of the rest of the model
+        columns = np.array(group.columns)
+        stiffness = float(np.median(resists[columns]))  # of the rest of the model
         if stiffness <= NOTHING * largest[group.component > 3]:
             continue  # the rest neither holds nor weighs anything there
+        # Moved together, as a rigid body, the freedoms meet far less than each does alone.
+        together = np.linalg.eigvalsh(energy[np.ix_(columns, columns)])
+        least = max(float(together[0]), NOTHING * stiffness)
         term = Term("stiffness", 0, loads, np.eye(len(loads)))
-        lower, upper = (np.array([share * stiffness]) for share in YIELDING)
+        lower, upper = np.array([YIELDING[0] * least]), np.array([YIELDING[1] * stiffness])
         kind: Kind = "yielding support" if group.support else "yielding link"
         yield ModelChange(
             kind, f"{group.label} yields", group.nodes, group.component, (term,), lower, upper,

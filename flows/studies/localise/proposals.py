@@ -33,8 +33,8 @@ from modetune.flows.updating.mode_source import CaseState
 
 logger = logging.getLogger(__name__)
 
-#: Amplitudes between the bounds at which every change is tried; masses and frequencies of an
-#: absorber.
+#: Amplitudes between the bounds at which every change is tried, more where these are further apart
+#: than a decade each; masses and frequencies of an absorber.
 AMPLITUDES, OF_ABSORBERS = 6, (2, 5)
 #: Amplitudes between these that are tried where the residual seems least.
 BETWEEN = 2
@@ -318,7 +318,8 @@ def _grid(change: ModelChange) -> list[Floats]:
     """Return log amplitudes (n_amplitudes,) at which a change is tried, ascending."""
     lower, upper = np.log(change.lower), np.log(change.upper)
     if lower.size == 1:
-        return [np.array([at]) for at in np.linspace(lower[0], upper[0], AMPLITUDES)]
+        decades = int(np.ceil((upper[0] - lower[0]) / np.log(10.0)))
+        return [np.array([at]) for at in np.linspace(lower[0], upper[0], max(AMPLITUDES, decades))]
     # The second amplitude of an absorber is a stiffness, whose ratio to the mass is the frequency.
     masses = np.linspace(lower[0], upper[0], OF_ABSORBERS[0])
     ratios = np.linspace(lower[1] - lower[0], upper[1] - upper[0], OF_ABSORBERS[1])
