@@ -1,6 +1,6 @@
 """How often `modetune localise` proposes what a model really lacks.
 
-    python -m benchmarks.proposals [--runs 100] [--seed 1] [--kinds mass spring clamp softened none]
+    python -m benchmarks.proposals [--runs 100] [--seed 1] [--kinds mass none] [--to FILE]
 
 Each twin is a structure of the zoo whose true model, solved by its own program, has one change that
 the campaign does not know; its test has 0.2 % of noise on frequencies and 5 % on shapes.
@@ -27,7 +27,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -351,6 +351,7 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(OF))
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--to", type=Path, help="lines of JSON, one a twin; what it has is not run")
     asked = parser.parse_args()
     each = max(1, round(asked.runs / len(asked.families) / len(asked.kinds)))
     twins = [
@@ -360,10 +361,17 @@ def main() -> None:
         for family in asked.families
         if _has(family, kind)
     ]
-    outcomes = []
+    known = asked.to.read_text().splitlines() if asked.to and asked.to.exists() else []
+    outcomes = [Outcome(**json.loads(line)) for line in known]
+    done = {(item.family, item.seed, item.kind) for item in outcomes}
+    left = [twin for twin in twins if twin not in done]
     with ProcessPoolExecutor(asked.workers, initializer=_quiet) as pool:
-        for outcome in pool.map(try_twin, *zip(*twins, strict=True)):
+        for waiting in as_completed([pool.submit(try_twin, *twin) for twin in left]):
+            outcome = waiting.result()
             outcomes.append(outcome)
+            if asked.to:
+                with asked.to.open("a") as file:
+                    file.write(f"{json.dumps(asdict(outcome))}\n")
             said = outcome.failed.strip().splitlines()[-1:] or [
                 f"rank {outcome.rank}, {outcome.first} {outcome.value:.4g}, proposed "
                 f"{outcome.proposed}, {outcome.seconds:.0f} s"
@@ -372,7 +380,7 @@ def main() -> None:
                 f"{outcome.family} {outcome.seed} {outcome.kind}: {outcome.hidden}, "
                 f"{outcome.noncentrality:.1f}; {said[0]}\n"
             )
-    sys.stdout.write(f"{table(outcomes)}\n{json.dumps([asdict(item) for item in outcomes])}\n")
+    sys.stdout.write(f"{table(outcomes)}\n")
 
 
 if __name__ == "__main__":
