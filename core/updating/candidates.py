@@ -85,8 +85,11 @@ class AttachedModel:
         block = self.at[np.ix_(places, self.size + places)]
         return float(weights @ block @ weights)
 
-    def changed(self, terms: Sequence[Term]) -> ReducedModel:
-        """Return the model with a change, whose amplitudes follow the parameters and start at 0."""
+    def changed(self, terms: Sequence[Term], n_amplitudes: int = 0) -> ReducedModel:
+        """Return the model with a change, whose amplitudes follow the parameters and start at 0.
+
+        n_amplitudes: of the change, at least those of its terms.
+        """
         used = np.unique(np.array([n for term in terms for n in term.loads], dtype=np.int64))
         places = np.concatenate([np.arange(self.size), self.size + used])
         model = of_vectors(self.whole, places)
@@ -95,7 +98,7 @@ class AttachedModel:
         n_own = max((term.own.shape[1] for term in terms), default=0)
         model = _padded(model, n_own)
         n_before = model.reference.size
-        n_amplitudes = 1 + max((term.amplitude for term in terms), default=-1)
+        n_amplitudes = max([n_amplitudes, *(1 + term.amplitude for term in terms)])
         added: dict[str, list[ReducedPart]] = {"stiffness": [], "mass": []}
         for term in terms:
             rows = np.zeros((term.vectors.shape[0], model.size))

@@ -30,7 +30,6 @@ from modetune.flows.studies.localise.changes import (
     LoadPlaces,
     ModelChange,
     ReleasedGroup,
-    places_of,
 )
 from modetune.flows.studies.localise.releases import released_model
 from modetune.flows.updating.evaluation import CaseEvaluation, at_sensors, compare, model_state
@@ -50,6 +49,8 @@ MOST_UNKNOWNS, SMALL = 400_000, 120
 MORE_MODES, MOST_VECTORS = 12, 150
 #: Eigenvalues below this share of the first elastic one are those of rigid modes.
 RIGID = 1e-4
+#: Elastic eigenvalues are no smaller than this share of the first one.
+LOOSE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,8 @@ class CaseModel:
         eigenvalues, shapes = model.modes(theta, known.modal.modes.n_modes)
         first = float(known.modal.eigenvalues[known.modal.n_rigid])
         n_rigid = min(known.modal.n_rigid, int(np.sum(eigenvalues < RIGID * first)))
+        # What yields may leave the model almost loose, with eigenvalues that are rounding.
+        eigenvalues[n_rigid:] = np.maximum(eigenvalues[n_rigid:], LOOSE * first)
         modal = ModalResult.of_shapes(eigenvalues, shapes, *self.rows, 0.5 * eigenvalues, n_rigid)
         return compare(self.case, theta, "", modal, known, REDUCED)
 
@@ -97,8 +100,12 @@ def case_model(
     state: CaseState,
     part: CaseEvaluation,
     quantities: Sequence[Parameter],
-    known_places: LoadPlaces | None,
-) -> tuple[CaseModel, LoadPlaces]:
+    places: LoadPlaces,
+) -> CaseModel:
+    """Return a case's reduced model at an evaluated point. Raises ModelError, ModesError.
+
+    quantities: further ones, behind the case's own parameters. places: of loads.
+    """
     own, deck = state.campaign.parameters, state.case.solver.deck
     if quantities:
         deck = deck.with_parameters(tuple(quantities))
@@ -120,7 +127,6 @@ def case_model(
     written, case = source.written(theta), all_data(state.case)
     rows = named_freedoms(case.nodes, np.array(case.rotation_nodes, dtype=np.int64))
     observer = observer_of(state.campaign, affine.base, *rows)
-    places = known_places or places_of(case, tuple(sorted(deck.summary.components)))
     seen = deck.observation(affine.base, places.load_nodes, places.load_components)
     loads = sparse.csr_array(seen.matrix.T)
     here = affine.at(written)
@@ -155,7 +161,7 @@ def case_model(
         mass=_mass(here, deck),
         released=groups,
     )
-    return replace(known, known=known.compared(loaded.changed(()), written)), places
+    return replace(known, known=known.compared(loaded.changed(()), written))
 
 
 def _mass(matrices: MatrixResult, deck: Deck) -> float:
@@ -179,8 +185,12 @@ class ChangeMisfit(Misfit):
         tiny = np.finfo(np.float64).tiny
         self.lower = np.log(np.concatenate([np.maximum(bounds.lower, tiny), extra[0]]))
         self.upper = np.log(np.concatenate([bounds.upper, extra[1]]))
-        terms = () if change is None else change.terms
-        self.models = [item.loaded.changed(terms) for item in cases]
+        if change is None:
+            self.models = [item.loaded.changed(()) for item in cases]
+        else:
+            n = change.lower.size if change.group < 0 else 0
+            own = zip(cases, change.terms, strict=True)
+            self.models = [item.loaded.changed(terms, n) for item, terms in own]
         self.n_evaluations = 0
 
     def columns(self, case: CaseModel) -> Integers:
@@ -188,8 +198,8 @@ class ChangeMisfit(Misfit):
         own = np.arange(case.columns.size)
         if self.change is None:
             return own
-        if self.change.column >= 0:
-            return np.append(own, self.change.column)
+        if self.change.group >= 0:
+            return np.append(own, own.size + self.change.group)
         return np.concatenate([own, case.theta.size + np.arange(self.change.lower.size)])
 
     def at(self, case: CaseModel, values: Floats) -> Floats:
@@ -201,7 +211,7 @@ class ChangeMisfit(Misfit):
 
     @property
     def _added(self) -> bool:
-        return self.change is not None and self.change.column < 0
+        return self.change is not None and self.change.group < 0
 
     def parts(
         self, x: Floats

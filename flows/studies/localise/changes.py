@@ -17,7 +17,7 @@ logarithmic scale, every place of the kind too.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -55,7 +55,7 @@ class LoadPlaces:
 
     loads: nodes and components (n_loads,) of unit forces, as positions of `Term.loads` mean them.
     nodes: of masses and springs to the ground. absorbers: nodes. pairs: (n_pairs, 2), close nodes
-    that no element joins. sensors: nodes. components: which of 1..6 nodes have.
+    that no element joins. sensors: nodes, of each case. components: which of 1..6 nodes have.
     """
 
     load_nodes: Integers
@@ -63,7 +63,7 @@ class LoadPlaces:
     nodes: tuple[int, ...]
     absorbers: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]
-    sensors: tuple[int, ...]
+    sensors: tuple[tuple[int, ...], ...]
     components: tuple[int, ...]
 
 
@@ -85,27 +85,27 @@ class ReleasedGroup:
 class ModelChange:
     """One change of a model.
 
-    nodes, component: the place; terms: what it adds, in every case that has the place. lower,
-    upper: (n_amplitudes,). column: of a group's quantity among the model's parameters; quantity:
-    that itself. constrained: whether the model as it is has it with an infinite amplitude, not
-    with zero.
+    nodes, component: the place; terms: what it adds to each case, nothing where the place is not.
+    lower, upper: (n_amplitudes,). group: position of a group's quantity among those that are tried;
+    quantity: that itself. constrained: whether the model as it is has an infinite amplitude of it.
     """
 
     kind: Kind
     label: str
     nodes: tuple[int, ...]
     component: int
-    terms: tuple[Term, ...]
+    terms: tuple[tuple[Term, ...], ...]
     lower: Floats
     upper: Floats
-    column: int = -1
+    group: int = -1
     quantity: Parameter | None = None
     constrained: bool = False
 
 
-def places_of(case: Case, components: tuple[int, ...]) -> LoadPlaces:
-    """Return the places of changes in a case. components: which of 1..6 its matrices give."""
-    deck = case.solver.deck
+def places_of(cases: Sequence[Case]) -> LoadPlaces:
+    """Return the places of changes in the first case, and the sensors of all."""
+    deck = cases[0].solver.deck
+    components = tuple(sorted(deck.summary.components))
     mesh, fixed = deck.mesh(), deck.fixed()
     numbers = mesh.nodes
     coordinates = mesh.coordinates
@@ -115,15 +115,19 @@ def places_of(case: Case, components: tuple[int, ...]) -> LoadPlaces:
     held = {node for node, axes in fixed.items() if len(axes) > 2}
     rows = np.flatnonzero(~np.isin(numbers, list(held)))
     numbers, coordinates = numbers[rows], coordinates[rows]
-    sensors = tuple(n for n in sorted(set(case.sensors.model_nodes.tolist())) if n not in held)
-    known = np.flatnonzero(np.isin(numbers, sensors))
+    sensors = tuple(
+        tuple(n for n in sorted(set(case.sensors.model_nodes.tolist())) if n not in held)
+        for case in cases
+    )
+    measured = {node for own in sensors for node in own}
+    known = np.flatnonzero(np.isin(numbers, list(measured)))
     nothing = np.zeros(0, dtype=np.int64)
     known = known[spread_nodes(coordinates[known], nothing, PLACES // 2)]
     chosen = spread_nodes(coordinates, known, PLACES)
     few = chosen[spread_nodes(coordinates[chosen], nothing, ABSORBERS)]
     pairs = tuple(pair for pair in close_pairs(mesh) if not held & set(pair))[:PAIRS]
     nodes = tuple(numbers[chosen].tolist())
-    every = sorted({*nodes, *sensors, *(node for pair in pairs for node in pair)})
+    every = sorted({*nodes, *measured, *(node for pair in pairs for node in pair)})
     return LoadPlaces(
         np.repeat(np.array(every, dtype=np.int64), len(components)),
         np.tile(np.array(components, dtype=np.int64), len(every)),
@@ -169,78 +173,86 @@ def _parts(mesh: Mesh) -> Integers:
 
 
 def changes_of(
-    case: Case,
+    cases: Sequence[Case],
     places: LoadPlaces,
-    loaded: AttachedModel,
-    usable: Floats,
+    loaded: Sequence[AttachedModel],
+    released: Sequence[Sequence[ReleasedGroup]],
     mass: float,
-    groups: Sequence[tuple[Parameter, int]],
-    released: Sequence[ReleasedGroup] = (),
+    groups: Sequence[Parameter],
 ) -> Iterator[ModelChange]:
-    """Yield all changes of a case.
+    """Yield all changes of some cases.
 
-    usable: (n_loads,), whether a load's place can move. mass: of the model. groups: quantities and
-    their columns among the model's parameters. released: supports and links that may yield, whose
-    columns are loads behind those of the places.
+    released: supports and links of each case that may yield, whose columns are loads behind those
+    of the places. mass: of the model. groups: quantities behind the cases' own parameters.
     """
-    mesh = case.solver.deck.mesh()
-    row = {
-        (node, component): place
-        for place, (node, component) in enumerate(
-            zip(places.load_nodes.tolist(), places.load_components.tolist(), strict=True)
-        )
-        if usable[place]
-    }
+    mesh = cases[0].solver.deck.mesh()
+    names = list(zip(places.load_nodes.tolist(), places.load_components.tolist(), strict=True))
+    rows = [
+        {name: place for place, name in enumerate(names) if moves[place]}
+        for moves in (np.abs(each.at).max(axis=1, initial=0.0) > 0.0 for each in loaded)
+    ]
     size = float(np.ptp(mesh.coordinates, axis=0).max()) if mesh.nodes.size else 1.0
-    hz = case.test.modes.frequencies_hz
+    hz = np.concatenate([case.test.modes.frequencies_hz for case in cases])
     band = AROUND[0] * float(hz.min()), AROUND[1] * float(hz.max())
-    yield from _masses(places, row, mass, size)
-    yield from _springs(places, row, loaded)
-    yield from _absorbers(places, row, mass, band)
+    yield from _masses(places, rows, mass, size)
+    yield from _springs(places, rows, loaded)
+    yield from _absorbers(places, rows, mass, band)
     yield from _yielding(released, places.load_nodes.size, loaded)
-    for item, column in groups:
+    for number, item in enumerate(groups):
         bounds = np.array([FACTORS[0]]), np.array([FACTORS[1]])
         label = f"{item.quantity.replace('_', ' ')} of {', '.join(item.targets)}"
-        yield ModelChange("group", label, (), 0, (), *bounds, column, item)
+        yield ModelChange("group", label, (), 0, ((),) * len(cases), *bounds, number, item)
+
+
+#: The load of each place that can move in a case.
+Rows = dict[tuple[int, int], int]
 
 
 def _masses(
-    places: LoadPlaces, row: dict[tuple[int, int], int], mass: float, size: float
+    places: LoadPlaces, rows: Sequence[Rows], mass: float, size: float
 ) -> Iterator[ModelChange]:
     def at(
-        kind: Kind, label: str, nodes: tuple[int, ...], axes: range, unit: float
+        kind: Kind, label: str, nodes: Sequence[tuple[int, ...]], axes: range, unit: float
     ) -> Iterator[ModelChange]:
-        loads = tuple(row[n, c] for n in nodes for c in axes if (n, c) in row)
-        if loads:
-            term = Term("mass", 0, loads, np.eye(len(loads)))
+        loads = [
+            tuple(row[n, c] for n in own for c in axes if (n, c) in row)
+            for own, row in zip(nodes, rows, strict=True)
+        ]
+        if any(loads):
+            terms = tuple((Term("mass", 0, own, np.eye(len(own))),) if own else () for own in loads)
             lower, upper = (np.array([share * unit]) for share in MASSES)
-            yield ModelChange(kind, label, nodes, 0, (term,), lower, upper)
+            every = tuple(sorted({node for own in nodes for node in own}))
+            yield ModelChange(kind, label, every, 0, terms, lower, upper)
 
     for node in places.nodes:
-        yield from at("point mass", f"point mass at node {node}", (node,), range(1, 4), mass)
+        here = [(node,)] * len(rows)
+        yield from at("point mass", f"point mass at node {node}", here, range(1, 4), mass)
         if 4 in places.components:
             unit = mass * (ARM * size) ** 2
-            yield from at("inertia", f"inertia at node {node}", (node,), range(4, 7), unit)
-    if len(places.sensors) > 1:
-        label, unit = "equal masses at all sensors", mass / len(places.sensors)
+            yield from at("inertia", f"inertia at node {node}", here, range(4, 7), unit)
+    most = max(len(own) for own in places.sensors)
+    if most > 1:
+        label, unit = "equal masses at all sensors", mass / most
         yield from at("sensor masses", label, places.sensors, range(1, 4), unit)
 
 
 def _springs(
-    places: LoadPlaces, row: dict[tuple[int, int], int], loaded: AttachedModel
+    places: LoadPlaces, rows: Sequence[Rows], loaded: Sequence[AttachedModel]
 ) -> Iterator[ModelChange]:
     def between(
         kind: Kind, label: str, nodes: tuple[int, ...], component: int
     ) -> Iterator[ModelChange]:
-        loads = tuple(row[n, component] for n in nodes if (n, component) in row)
-        if len(loads) < len(nodes):
-            return
-        weights = np.array([1.0, -1.0][: len(loads)])
-        flexibility = loaded.flexibility(loads, weights)
+        weights = np.array([1.0, -1.0][: len(nodes)])
+        terms, flexibility = list[tuple[Term, ...]](), 0.0
+        for row, model in zip(rows, loaded, strict=True):
+            loads = tuple(row[n, component] for n in nodes if (n, component) in row)
+            whole = len(loads) == len(nodes)
+            terms.append((Term("stiffness", 0, loads, weights[None]),) if whole else ())
+            if whole:
+                flexibility = max(flexibility, model.flexibility(loads, weights))
         if flexibility > 0.0:
-            term = Term("stiffness", 0, loads, weights[None])
             lower, upper = (np.array([share / flexibility]) for share in STIFFNESSES)
-            yield ModelChange(kind, label, nodes, component, (term,), lower, upper)
+            yield ModelChange(kind, label, nodes, component, tuple(terms), lower, upper)
 
     for component in places.components:
         turning, axis = component > 3, AXES[component]
@@ -254,49 +266,58 @@ def _springs(
 
 
 def _yielding(
-    released: Sequence[ReleasedGroup], n_loads: int, loaded: AttachedModel
+    released: Sequence[Sequence[ReleasedGroup]], n_loads: int, loaded: Sequence[AttachedModel]
 ) -> Iterator[ModelChange]:
-    whole = loaded.whole
-    own = slice(loaded.size + n_loads, None)
-    energy = whole.base_stiffness[own, own] - whole.shift * whole.base_mass[own, own]
-    resists = np.diag(energy)
-    largest = {
-        turning: max((float(resists[list(g.columns)].max()) for g in released
-                      if (g.component > 3) == turning), default=0.0)
-        for turning in (False, True)
-    }  # fmt: skip
-    for group in released:
-        loads = tuple(n_loads + column for column in group.columns)
-        columns = np.array(group.columns)
-        stiffness = float(np.median(resists[columns]))  # of the rest of the model
-        if stiffness <= NOTHING * largest[group.component > 3]:
-            continue  # the rest neither holds nor weighs anything there
-        # Moved together, as a rigid body, the freedoms meet far less than each does alone.
-        together = np.linalg.eigvalsh(energy[np.ix_(columns, columns)])
-        least = max(float(together[0]), NOTHING * stiffness)
-        term = Term("stiffness", 0, loads, np.eye(len(loads)))
-        lower, upper = np.array([YIELDING[0] * least]), np.array([YIELDING[1] * stiffness])
-        kind: Kind = "yielding support" if group.support else "yielding link"
-        yield ModelChange(
-            kind, f"{group.label} yields", group.nodes, group.component, (term,), lower, upper,
-            constrained=True,
-        )  # fmt: skip
+    """Yield what may yield; of the same label in several cases it is the same thing."""
+    known: dict[str, ModelChange] = {}
+    for place, (groups, model) in enumerate(zip(released, loaded, strict=True)):
+        whole, own = model.whole, slice(model.size + n_loads, None)
+        energy = whole.base_stiffness[own, own] - whole.shift * whole.base_mass[own, own]
+        resists = np.diag(energy)
+        largest = {
+            turning: max((float(resists[list(g.columns)].max()) for g in groups
+                          if (g.component > 3) == turning), default=0.0)
+            for turning in (False, True)
+        }  # fmt: skip
+        for group in groups:
+            loads = tuple(n_loads + column for column in group.columns)
+            columns = np.array(group.columns)
+            stiffness = float(np.median(resists[columns]))  # of the rest of the model
+            if stiffness <= NOTHING * largest[group.component > 3]:
+                continue  # the rest neither holds nor weighs anything there
+            # Moved together, as a rigid body, the freedoms meet far less than each does alone.
+            together = np.linalg.eigvalsh(energy[np.ix_(columns, columns)])
+            least = max(float(together[0]), NOTHING * stiffness)
+            lower, upper = np.array([YIELDING[0] * least]), np.array([YIELDING[1] * stiffness])
+            kind: Kind = "yielding support" if group.support else "yielding link"
+            change = known.get(group.label) or ModelChange(
+                kind, f"{group.label} yields", group.nodes, group.component,
+                ((),) * len(loaded), lower, upper, constrained=True,
+            )  # fmt: skip
+            terms = list(change.terms)
+            terms[place] = (Term("stiffness", 0, loads, np.eye(len(loads))),)
+            known[group.label] = replace(change, terms=tuple(terms))
+    yield from known.values()
 
 
 def _absorbers(
-    places: LoadPlaces, row: dict[tuple[int, int], int], mass: float, band: tuple[float, float]
+    places: LoadPlaces, rows: Sequence[Rows], mass: float, band: tuple[float, float]
 ) -> Iterator[ModelChange]:
+    def terms(load: int | None) -> tuple[Term, ...]:
+        if load is None:
+            return ()
+        own = Term("mass", 0, (), np.zeros((1, 0)), np.ones((1, 1)))
+        return own, Term("stiffness", 1, (load,), np.ones((1, 1)), -np.ones((1, 1)))
+
     for node in places.absorbers:
         for component in range(1, 4):
-            if (node, component) not in row:
+            loads = [row.get((node, component)) for row in rows]
+            if all(load is None for load in loads):
                 continue
-            load = (row[node, component],)
-            own = Term("mass", 0, (), np.zeros((1, 0)), np.ones((1, 1)))
-            spring = Term("stiffness", 1, load, np.ones((1, 1)), -np.ones((1, 1)))
             masses = [share * mass for share in ABSORBER_MASSES]
             stiff = [m * (2.0 * np.pi * f) ** 2 for m, f in zip(masses, band, strict=True)]
             label = f"absorber at node {node}, {AXES[component]}"
             yield ModelChange(
-                "absorber", label, (node,), component, (own, spring),
+                "absorber", label, (node,), component, tuple(map(terms, loads)),
                 np.array([masses[0], stiff[0]]), np.array([masses[1], stiff[1]]),
             )  # fmt: skip

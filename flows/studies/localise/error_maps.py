@@ -80,6 +80,9 @@ class ErrorMaps:
 
 
 def why_no_maps(campaign: Campaign) -> str:
+    if campaign.only is None:
+        names = ", ".join(item.name for item in campaign.cases)
+        return f"a map is of one model: name a configuration by --configuration ({names})"
     solver = campaign.case.solver
     if not campaign.test.has_shapes:
         return "maps need measured shapes, and the test has none"

@@ -116,7 +116,8 @@ def places_figure(title: str, surface: Surface, mesh: Mesh, found: Sequence[Prop
     figure, axes = _space(title, surface, grey)
     axes.computed_zorder = False  # numbers on the far side are seen too
     for number, item in reversed(list(enumerate(found, start=1))):
-        places = mesh.coordinates[mesh.rows(np.array(item.change.nodes, dtype=np.int64))]
+        nodes = np.array(item.change.nodes, dtype=np.int64)
+        places = mesh.coordinates[mesh.rows(nodes[np.isin(nodes, mesh.nodes)])]
         best = number == 1
         axes.scatter(
             *places.T,

@@ -158,19 +158,18 @@ def _same_test(campaign: Campaign, record: CampaignRecord) -> bool:
 
 
 def one_model(campaign: Campaign, configuration: str | None) -> Campaign:
-    """Return a campaign of one model: itself, or one of its configurations.
+    """Return a campaign, or that of one of its configurations.
 
     Raises CampaignError where there is no such configuration.
     """
     names = [item.name for item in campaign.cases if item.name]
-    if configuration is None and not names:
+    if configuration is None:
         return campaign
     if configuration not in names:
         there = f"there is {', '.join(names)}" if names else "the campaign has none"
-        text = "none is named" if configuration is None else repr(configuration)
         raise CampaignError(
-            f"{campaign.file}: --configuration: name one of the campaign's configurations; {text}, "
-            f"{there}"
+            f"{campaign.file}: --configuration: name one of the campaign's configurations; "
+            f"{configuration!r}, {there}"
         )
     return campaign.alone(campaign.cases[names.index(configuration)])
 
@@ -184,9 +183,9 @@ def localise(
 ) -> Localisation:
     """Look for the error in a state of a campaign.
 
-    configuration: name of one, where there are several. changes: whether to look for changes that
-    the model lacks; tell: is called with the progress of that. Raises CampaignError, ModesError,
-    SolverError, StoreError.
+    configuration: name of one, where there are several; all of them together else. changes: whether
+    to look for changes that the model lacks; tell: is called with the progress of that. Raises
+    CampaignError, ModesError, SolverError, StoreError.
     """
     whole, campaign = campaign, one_model(campaign, configuration)
     updated = state.theta is not None
@@ -254,11 +253,12 @@ def _proposed(
     tell: Callable[[str], None],
 ) -> tuple[Proposals | None, str]:
     """Return changes that the model may lack, and why there are none where that is so."""
-    solver = campaign.case.solver
-    if not solver.offers.matrices:
-        return None, f"they need matrices, which {solver.program.name} does not give"
+    for case in campaign.used:
+        if not case.solver.offers.matrices:
+            name = case.solver.program.name
+            return None, f"they need matrices, which {name} does not give"
     try:
-        with factor_room(evaluator.only.engine.room), one_thread():
+        with factor_room(evaluator.used[0].engine.room), one_thread():
             return proposals(campaign, evaluator, evaluation, tell), ""
     except (ModelError, ModesError, UnlikeMatrices) as error:
         return None, str(error)

@@ -47,7 +47,8 @@ def _row(number: int, item: Proposal, mesh: Mesh) -> ProposalRow:
     change = item.change
     places = np.zeros((0, 3))
     if mesh.nodes.size and change.nodes:
-        places = mesh.coordinates[mesh.rows(np.array(change.nodes))]
+        nodes = np.array(change.nodes)
+        places = mesh.coordinates[mesh.rows(nodes[np.isin(nodes, mesh.nodes)])]
     return ProposalRow(
         number=number,
         change=change.label,

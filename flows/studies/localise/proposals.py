@@ -26,8 +26,13 @@ from modetune.core.updating.minima import polished
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.init.candidate_parameters import candidates
 from modetune.flows.studies.localise.case_model import CaseModel, ChangeMisfit, case_model
-from modetune.flows.studies.localise.changes import ModelChange, changes_of
-from modetune.flows.updating.evaluation import Evaluation
+from modetune.flows.studies.localise.changes import (
+    LoadPlaces,
+    ModelChange,
+    changes_of,
+    places_of,
+)
+from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.mode_source import CaseState
 
@@ -111,44 +116,54 @@ def search_of(
     tell: Callable[[str], None] = lambda text: None,
 ) -> ChangeSearch:
     """Return the search at an evaluated point, with its changes and models. Raises as above."""
-    groups = _groups(evaluator.used[0])
-    cases: list[CaseModel] = []
-    places = None
-    for state, part in zip(evaluator.used, evaluation.parts, strict=True):
-        tell(state.case.of("reduced model with loads"))
-        try:
-            made, places = case_model(campaign, evaluator, state, part, groups, places)
-        except ModelError as error:
-            if not groups:
-                raise
-            logger.warning("no quantities of groups are tried: %s", error)
-            groups = ()
-            made, places = case_model(campaign, evaluator, state, part, groups, places)
-        cases.append(made)
-    assert places is not None
-    first = cases[0]
-    named = [(item, place) for place, item in enumerate(groups, start=first.columns.size)]
-    usable = np.abs(first.loaded.at).max(axis=1, initial=0.0) > 0.0
-    found = list(
-        changes_of(first.case, places, first.loaded, usable, first.mass, named, first.released)
+    groups, places = _groups(evaluator.used), places_of([state.case for state in evaluator.used])
+    own = list(zip(evaluator.used, evaluation.parts, strict=True))
+    try:
+        cases = _models(campaign, evaluator, own, groups, places, tell)
+    except ModelError as error:
+        if not groups:
+            raise
+        logger.warning("no quantities of groups are tried: %s", error)
+        groups = ()
+        cases = _models(campaign, evaluator, own, groups, places, tell)
+    found = changes_of(
+        [item.case for item in cases],
+        places,
+        [item.loaded for item in cases],
+        [item.released for item in cases],
+        cases[0].mass,
+        groups,
     )
-    return ChangeSearch(campaign, cases, found, evaluation.theta)
+    return ChangeSearch(campaign, cases, list(found), evaluation.theta)
 
 
-def _groups(state: CaseState) -> tuple[Parameter, ...]:
-    """Return quantities of the deck that no parameter of the campaign moves."""
-    own = state.campaign.parameters
-    taken = {
-        (item.quantity, target)
-        for item in (*own.parameters, *own.dependents)
-        for target in item.targets
-    }
-    given = [item.parameter for item in candidates(state.case.solver)]
+def _models(
+    campaign: Campaign,
+    evaluator: Evaluator,
+    own: Sequence[tuple[CaseState, CaseEvaluation]],
+    groups: Sequence[Parameter],
+    places: LoadPlaces,
+    tell: Callable[[str], None],
+) -> list[CaseModel]:
+    made = []
+    for state, part in own:
+        tell(state.case.of("reduced model with loads"))
+        made.append(case_model(campaign, evaluator, state, part, groups, places))
+    return made
+
+
+def _groups(states: Sequence[CaseState]) -> tuple[Parameter, ...]:
+    """Return quantities of all decks that no parameter of the campaign moves."""
+    own = [item for state in states for item in state.campaign.parameters.parameters]
+    own += [item for state in states for item in state.campaign.parameters.dependents]
+    taken = {(item.quantity, target) for item in own for target in item.targets}
+    given = [item.parameter for item in candidates(states[0].case.solver)]
     return tuple(
         replace(item, name=f"proposed {item.name}")
         for item in given
         if item.quantity not in OTHERS
         and not any((item.quantity, target) in taken for target in item.targets)
+        and not any(state.case.solver.deck.problems((item,)) for state in states[1:])
     )[:GROUPS]
 
 
@@ -192,7 +207,7 @@ class ChangeSearch:
         """Return about the least misfit with a change, and log amplitudes for it."""
         trial, best = self.trial(change), (np.inf, _grid(change)[0])
         tried: list[tuple[float, Floats]] = []
-        if change.column < 0 and not change.constrained:  # nothing is changed at zero
+        if change.group < 0 and not change.constrained:  # nothing is changed at zero
             tried.append((0.0, self.free(self.base)))
 
         def value(at: Floats) -> tuple[float, Floats]:

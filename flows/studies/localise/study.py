@@ -69,7 +69,8 @@ def localise(
         ),
     ] = None,
     configuration: Annotated[
-        str | None, typer.Option(help="Configuration to examine, if the campaign has several.")
+        str | None,
+        typer.Option(help="Configuration to examine alone; default: all of them together."),
     ] = None,
     changes: Annotated[
         bool,
@@ -104,9 +105,9 @@ def localise(
 
         model = "updated" if found.updated else "initial"
         title = f"{on.campaign.name}: where the {model} model is wrong"
-        mesh, surface = campaign.case.solver.deck.mesh(), campaign.case.surface
+        mesh, surface = campaign.cases[0].solver.deck.mesh(), campaign.cases[0].surface
         charts = localisation_figures(title, found, mesh, surface)
-    mesh, lines, written = campaign.case.solver.deck.mesh(), _lines(found), list[Path]()
+    mesh, lines, written = campaign.cases[0].solver.deck.mesh(), _lines(found), list[Path]()
     if apply is not None and out is not None:
         made = _applied(on.campaign, found, apply, out)
         written = [made.campaign, *made.decks]
