@@ -90,12 +90,21 @@ def read_text(path: Path) -> str:
     return data.decode("utf-8", "surrogateescape")
 
 
-def text_with(file: Path, before: int, lines: Sequence[str]) -> str:
+def text_with(
+    file: Path,
+    before: int,
+    lines: Sequence[str],
+    mark: str = "",
+    comments: Iterable[int] = (),
+) -> str:
     """Return a file's text with lines before the one of this number (from 1), 0 for its end.
 
-    New lines end as the first line of the file does. Raises ModelError.
+    New lines end as the first line of the file does. comments: numbers of lines that become
+    comments, by a mark before them. Raises ModelError.
     """
     pieces = read_text(file).split("\n")
+    for number in comments:
+        pieces[number - 1] = mark + pieces[number - 1]
     end = "\r" if pieces[0].endswith("\r") else ""
     if not before and pieces[-1]:
         pieces.append("")  # the last line had no end

@@ -263,10 +263,11 @@ class Addition:
     """Something that a deck lacks, in its own units.
 
     A mass at each of some nodes; a spring along a component, 1..6, from a node to the ground or to
-    another node; a mass on such a spring from a node (`absorber`, with both values).
+    another node; a mass on such a spring from a node (`absorber`, with both values); springs in
+    place of what holds some nodes (`support`), along one component or, for 0, all that are held.
     """
 
-    kind: Literal["mass", "spring", "absorber"]
+    kind: Literal["mass", "spring", "absorber", "support"]
     nodes: tuple[int, ...]
     component: int
     values: tuple[float, ...]
@@ -276,7 +277,8 @@ class Addition:
 class AddedCards:
     """The main file of a deck with an addition, and its numbers as parameters may name them.
 
-    lines: those that are new; numbers: quantity, kind and names of the targets, value.
+    lines: those that are new; of the others some may have become comments. numbers: quantity, kind
+    and names of the targets, value.
     """
 
     text: str

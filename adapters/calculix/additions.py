@@ -1,14 +1,15 @@
-"""Masses and springs added to a CalculiX deck, before its first step."""
+"""Masses and springs added to a CalculiX deck, before its first step or at its end."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from modetune.adapters.calculix.constraints import held_by, node_sets
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.deck_files import text_with
 from modetune.adapters.solver import AddedCards, Addition
 from modetune.core.errors import ModelError
-from modetune.core.mesh import Mesh
+from modetune.core.mesh import Fixed, Mesh
 from modetune.core.modes import Floats
 from modetune.core.parameters import Quantity, TargetKind
 
@@ -17,25 +18,31 @@ NAME = "MODETUNE_ADDED"
 ELSET: TargetKind = "elset"
 
 
-def with_addition(structure: CalculixStructure, mesh: Mesh, addition: Addition) -> AddedCards:
-    """Return the main file with an addition. Raises ModelError."""
+def with_addition(
+    structure: CalculixStructure, mesh: Mesh, addition: Addition, fixed: Fixed
+) -> AddedCards:
+    """Return the main file with an addition. fixed: what the deck holds. Raises ModelError."""
     deck = structure.deck
     if addition.component > 3:
         raise ModelError(f"{deck.file}: CalculiX has no springs against rotations of nodes")
-    steps = deck.named("*STEP")
-    if not steps:
-        raise ModelError(f"{deck.file}: the deck has no *STEP, before which cards would be added")
-    line = deck.lines[steps[0].lines.start]
-    if line.file != deck.file:
-        raise ModelError(
-            f"{line.where}: the first *STEP is in an include, and cards are added to the main file "
-            "alone"
-        )
+    steps, before = deck.named("*STEP"), 0
+    if steps:
+        line = deck.lines[steps[0].lines.start]
+        before = line.number
+        if line.file != deck.file:
+            raise ModelError(
+                f"{line.where}: the first *STEP is in an include, and cards are added to the main "
+                "file alone"
+            )
     names = {card.option("ELSET") for card in deck.cards}
     number = next(n for n in range(1, len(names) + 2) if not _taken(names, n))
     element = max(structure.mesh.elements, default=0) + 1
     lines, parts = ["** added by modetune localise"], list[tuple[Quantity, str, float]]()
     nodes = addition.nodes
+    if addition.kind == "support":
+        more, numbers, comments = _springs(structure, addition, fixed, element, number)
+        text = text_with(deck.file, before, [*lines, *more], "** ", comments)
+        return AddedCards(text, (*lines, *more), (numbers,))
     if addition.kind == "absorber":
         own = max(structure.summary.node_ids) + 1
         x, y, z = _place(mesh, nodes[0])
@@ -48,7 +55,7 @@ def with_addition(structure: CalculixStructure, mesh: Mesh, addition: Addition) 
         held = nodes if addition.kind == "mass" else nodes[1:]
         lines.append(f"*ELEMENT, TYPE=MASS, ELSET={name}")
         lines += [f"{element + place}, {node}" for place, node in enumerate(held)]
-        lines += [f"*MASS, ELSET={name}", f"{addition.values[0]:.9g}"]
+        lines += [f"*MASS, ELSET={name}", _real(addition.values[0])]
         parts.append(("mass", name, addition.values[0]))
         element += len(held)
     if addition.kind != "mass":
@@ -56,11 +63,69 @@ def with_addition(structure: CalculixStructure, mesh: Mesh, addition: Addition) 
         lines.append(f"*ELEMENT, TYPE=SPRING{len(nodes)}, ELSET={name}")
         lines.append(", ".join(map(str, (element, *nodes))))
         lines += [f"*SPRING, ELSET={name}", ", ".join([axis] * len(nodes))]
-        lines.append(f"{addition.values[-1]:.9g}")
+        lines.append(_real(addition.values[-1]))
         parts.append(("spring_stiffness", name, addition.values[-1]))
-    text = text_with(deck.file, line.number, lines)
-    numbers = [(quantity, ELSET, (name,), value) for quantity, name, value in parts]
-    return AddedCards(text, tuple(lines), tuple(numbers))
+    text = text_with(deck.file, before, lines)
+    values = [(quantity, ELSET, (name,), value) for quantity, name, value in parts]
+    return AddedCards(text, tuple(lines), tuple(values))
+
+
+def _springs(
+    structure: CalculixStructure, addition: Addition, fixed: Fixed, element: int, number: int
+) -> tuple[list[str], tuple[Quantity, TargetKind, tuple[str, ...], float], list[int]]:
+    """Return springs in place of a support, their numbers, and lines of the file to comment out.
+
+    element, number: the first free ones, of elements and of names.
+    """
+    nodes, value = set(addition.nodes), addition.values[0]
+    axes = (addition.component,) if addition.component else (1, 2, 3)
+    lines, comments = _kept_holds(structure, nodes, axes)
+    names = []
+    for axis in axes:
+        held = [node for node in sorted(nodes) if axis in fixed.get(node, ())]
+        if not held:
+            continue
+        name = f"{NAME}_{number}_SUPPORT_{axis}"
+        names.append(name)
+        lines.append(f"*ELEMENT, TYPE=SPRING1, ELSET={name}")
+        lines += [f"{element + place}, {node}" for place, node in enumerate(held)]
+        lines += [f"*SPRING, ELSET={name}", str(axis), _real(value)]
+        element += len(held)
+    if not names:
+        raise ModelError(f"{structure.deck.file}: no *BOUNDARY holds these nodes")
+    return lines, ("spring_stiffness", ELSET, tuple(names), value), comments
+
+
+def _kept_holds(
+    structure: CalculixStructure, nodes: set[int], axes: tuple[int, ...]
+) -> tuple[list[str], list[int]]:
+    """Return what *BOUNDARY still holds of the lines that hold some freedoms, and these lines."""
+    deck, sets = structure.deck, node_sets(structure)
+    kept, comments = list[str](), list[int]()
+    for card in deck.named("*BOUNDARY"):
+        held = {position: held_by(deck.fields(position), sets) for position in card.data}
+        freed = {
+            position
+            for position, dofs in held.items()
+            if any(node in nodes and axis in axes for node, axis in dofs)
+        }
+        if not freed:
+            continue
+        lines = [deck.lines[position] for position in (card.lines.start, *sorted(freed))]
+        if card.options or any(line.file != deck.file for line in lines):
+            raise ModelError(
+                f"{lines[0].where}: supports are replaced where *BOUNDARY is in the main file and "
+                "has no options"
+            )
+        left = lines[1:] if len(freed) < len(card.data) else lines
+        comments += [line.number for line in left]
+        rest = {dof for position in freed for dof in held[position]}
+        kept += [
+            f"{node}, {axis}, {axis}"
+            for node, axis in sorted(rest)
+            if not (node in nodes and axis in axes)
+        ]
+    return (["*BOUNDARY", *kept] if kept else []), comments
 
 
 def _taken(names: set[str], number: int) -> bool:
@@ -69,3 +134,9 @@ def _taken(names: set[str], number: int) -> bool:
 
 def _place(mesh: Mesh, node: int) -> Floats:
     return np.asarray(mesh.coordinates[mesh.rows(np.array([node]))[0]])
+
+
+def _real(value: float) -> str:
+    """Return a number with a point or an exponent: ccx takes a whole number for a freedom."""
+    text = f"{value:.9g}"
+    return text if set(text) & set(".e") else f"{text}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
@@ -122,12 +123,17 @@ def _held(structure: CalculixStructure, sets: dict[str, set[int]]) -> set[Dof]:
             renewed.add(number)
             held.clear()
         for position in card.data:
-            fields = [*structure.deck.fields(position), "", ""]
-            first = _whole(fields[1])
-            last = _whole(fields[2]) or first
-            for node in set_members(fields[0], sets):
-                held |= {(node, c) for c in range(first, min(last, 6) + 1)}
+            held |= held_by(structure.deck.fields(position), sets)
     return held
+
+
+def held_by(fields: Sequence[str], sets: dict[str, set[int]]) -> set[Dof]:
+    """Return what a data line of *BOUNDARY holds."""
+    name, start, stop = [*fields, "", "", ""][:3]
+    first = _whole(start)
+    last = _whole(stop) or first
+    components = range(first, min(last, 6) + 1)
+    return {(node, c) for node in set_members(name, sets) for c in components}
 
 
 def _equations(structure: CalculixStructure) -> dict[Dof, dict[Dof, float]] | None:

@@ -249,7 +249,7 @@ class CalculixModel(Deck):
         return CalculixModel(structure, self.parameters), links
 
     def with_cards(self, addition: Addition) -> AddedCards:
-        return with_addition(self.structure, self.mesh(), addition)
+        return with_addition(self.structure, self.mesh(), addition, self.fixed())
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         changed = edited_lines(self.structure, self._assigned(values))

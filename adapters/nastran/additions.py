@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.adapters.deck_files import text_with
+from modetune.adapters.nastran.bulk import Bulk
+from modetune.adapters.nastran.constraints import constraint_cards, held_by
 from modetune.adapters.nastran.deck import NastranDeck
 from modetune.adapters.solver import AddedCards, Addition
 from modetune.core.errors import ModelError
@@ -12,10 +14,13 @@ from modetune.core.mesh import Mesh
 from modetune.core.parameters import Quantity, TargetKind
 
 
-def with_addition(deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Addition) -> AddedCards:
+def with_addition(
+    deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Addition, bulk: Bulk, spc: int
+) -> AddedCards:
     """Return the main file with an addition. Raises ModelError.
 
-    wtmass: the deck's factor on all mass, by which masses are divided.
+    wtmass: the deck's factor on all mass, by which masses are divided. spc: the selected set of
+    supports.
     """
     if len(deck.parts) > 1:
         raise ModelError(f"{deck.file}: cards are not added to a deck of superelements")
@@ -30,6 +35,16 @@ def with_addition(deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Additi
     number = 1 + max((_number(card.text(1)) for card in deck.cards), default=0)
     lines, parts = ["$ added by modetune localise"], list[tuple[Quantity, TargetKind, str, float]]()
     nodes, component = addition.nodes, addition.component
+    if addition.kind == "support":
+        value = addition.values[0]
+        kept, comments, held = _kept_holds(deck, bulk, spc, set(nodes), component)
+        lines += [*kept, *_wide("PELAS", number, value)]
+        for place, (node, axis) in enumerate(held):
+            lines += _wide("CELAS1", number + place, number, node, axis)
+        numbers = (("spring_stiffness", "property", (str(number),), value),)
+        return AddedCards(
+            text_with(deck.file, before, lines, "$ ", comments), tuple(lines), numbers
+        )
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""
@@ -57,6 +72,43 @@ def with_addition(deck: NastranDeck, mesh: Mesh, wtmass: float, addition: Additi
         together.setdefault((quantity, by, value), []).append(name)
     numbers = tuple((q, by, tuple(names), value) for (q, by, value), names in together.items())
     return AddedCards(text, tuple(lines), numbers)
+
+
+def _kept_holds(
+    deck: NastranDeck, bulk: Bulk, spc: int, nodes: set[int], component: int
+) -> tuple[list[str], list[int], list[tuple[int, int]]]:
+    """Return what stays held of the cards that hold some freedoms, their lines, and the freedoms.
+
+    component: 0 for all.
+    """
+
+    def freed(node: int, axis: int) -> bool:
+        return node in nodes and component in (0, axis)
+
+    sets = {card.conid for card in constraint_cards(bulk, "spc", spc)}
+    kept, comments, found = list[str](), list[int](), set[tuple[int, int]]()
+    for card in deck.named("SPC", "SPC1"):
+        if _number(card.text(1)) not in sets:
+            continue
+        held = held_by(card, bulk)
+        own = {dof for dof in held if freed(*dof)}
+        if not own:
+            continue
+        lines = [deck.lines[position] for position in card.lines]
+        if any(line.file != deck.file for line in lines):
+            raise ModelError(f"{lines[0].where}: supports are replaced in the main file alone")
+        found |= own
+        comments += [line.number for line in lines]
+        rest: dict[int, str] = {}
+        for node, axis in sorted(held - own):
+            rest[node] = rest.get(node, "") + str(axis)
+        for node, axes in rest.items():
+            kept += _wide("SPC1", _number(card.text(1)), axes, node)
+    by_grid = [n for n in sorted(nodes) if n in bulk.nodes and bulk.nodes[n].ps]
+    if by_grid or not found:
+        what = f"grid {by_grid[0]} is held by its own PS field" if by_grid else "no SPC holds these"
+        raise ModelError(f"{deck.file}: {what}: supports of SPC and SPC1 cards are replaced")
+    return kept, comments, sorted(found)
 
 
 def _number(text: str) -> int:

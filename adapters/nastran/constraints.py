@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from modetune.adapters.nastran.bulk import Bulk
+from modetune.adapters.nastran.fields import NastranCard
 from modetune.core.mesh import Fixed
 
 #: Of a grid point without stiffness.
@@ -61,3 +62,22 @@ def fixed_components(bulk: Bulk, spc: int, mpc: int, whole: bool) -> Fixed:
     for item in bulk.rigid_elements.values():
         stiff.update((*item.independent_nodes, *item.dependent_nodes))
     return fixed | dict.fromkeys(bulk.nodes.keys() - stiff, ALL)
+
+
+def held_by(card: NastranCard, bulk: Bulk) -> set[tuple[int, int]]:
+    """Return what an SPC or SPC1 card holds: points that are there, and components."""
+    fields = [card.text(place) for place in range(2, len(card.fields))]
+    if card.name == "SPC":
+        pairs = [(fields[at], fields[at + 1]) for at in range(0, len(fields) - 1, 3)]
+    else:
+        words = [word for word in fields[1:] if word]
+        pairs = [(word, fields[0]) for word in words]
+        for place in (n for n, word in enumerate(words) if word == "THRU"):
+            points = range(int(words[place - 1]), int(words[place + 1]) + 1)
+            pairs += [(str(point), fields[0]) for point in points]
+    return {
+        (int(point), component)
+        for point, components in pairs
+        if point.isdigit() and int(point) in bulk.nodes
+        for component in component_numbers(components)
+    }

@@ -350,7 +350,8 @@ class NastranModel(Deck):
         return own, tuple(links)
 
     def with_cards(self, addition: Addition) -> AddedCards:
-        return with_addition(self.deck, self.mesh(), self.wtmass, addition)
+        spc = read_case_control(self.deck).selected("SPC")
+        return with_addition(self.deck, self.mesh(), self.wtmass, addition, self.bulk, spc)
 
     def write_updated(self, values: Values, folder: Path) -> Path:
         deck = write_edited(self.deck, self.edit(assigned(self.parameters, values)), folder)

@@ -65,10 +65,11 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
     else:
         added = addition(change, proposal.amplitudes.tolist())
         for case in campaign.cases:
-            file = case.solver.deck.summary.file
-            if file is None:
-                raise ModelError(f"{case.solver.deck.summary.name} has no deck to add cards to")
-            decks.setdefault(file.resolve(), case.solver.deck.with_cards(added))
+            model = case.solver.deck.summary
+            if model.file is None:
+                raise ModelError(f"{model.name} has no deck to add cards to")
+            if model.node_ids.issuperset(added.nodes):
+                decks.setdefault(model.file.resolve(), case.solver.deck.with_cards(added))
         numbers = next(iter(decks.values())).numbers
         entries = [_entry(campaign, (value, q, by, names, 0)) for q, by, names, value in numbers]
     files = {file: file.with_name(f"{out.stem}_{file.name}") for file in decks}
@@ -93,6 +94,8 @@ def addition(change: ModelChange, values: list[float]) -> Addition:
         return Addition("absorber", change.nodes, change.component, tuple(values))
     if "spring" in change.kind:
         return Addition("spring", change.nodes, change.component, tuple(values))
+    if change.kind == "yielding support":
+        return Addition("support", change.nodes, change.component, tuple(values))
     raise ModelError(f"modetune adds no cards for {change.label}: add them by hand")
 
 

@@ -115,6 +115,10 @@ def places_figure(title: str, surface: Surface, mesh: Mesh, found: Sequence[Prop
     grey = np.tile([0.8, 0.8, 0.8, 0.4], (surface.nodes.size, 1))
     figure, axes = _space(title, surface, grey)
     axes.computed_zorder = False  # numbers on the far side are seen too
+    labels: dict[int, list[int]] = {}
+    for number, item in enumerate(found, start=1):
+        for node in item.change.nodes[:1]:
+            labels.setdefault(node, []).append(number)
     for number, item in reversed(list(enumerate(found, start=1))):
         nodes = np.array(item.change.nodes, dtype=np.int64)
         places = mesh.coordinates[mesh.rows(nodes[np.isin(nodes, mesh.nodes)])]
@@ -126,8 +130,10 @@ def places_figure(title: str, surface: Surface, mesh: Mesh, found: Sequence[Prop
             depthshade=False,
             zorder=10,
         )
-        for place in places[:1]:
-            axes.text(*place, f"  {number}", fontsize=12 if best else 9, zorder=11)
+        own = labels.get(item.change.nodes[0], []) if item.change.nodes else []
+        for place in places[: own[:1] == [number]]:  # a node has one label
+            text = f"  {', '.join(map(str, own))}"
+            axes.text(*place, text, fontsize=12 if best else 9, zorder=11)
     return figure
 
 

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 SHOWN = 12
 #: A best share of the force residual below this identifies no group.
 DISTINCT = 0.2
+#: Added lines of a deck that a terminal shows.
+CARDS = 12
 #: Nodes of each map in the JSON object, the worst.
 NODES = 200
 
@@ -111,7 +113,9 @@ def localise(
     if apply is not None and out is not None:
         made = _applied(on.campaign, found, apply, out)
         written = [made.campaign, *made.decks]
-        lines += [f"added: {line}" for line in made.cards]
+        lines += [f"added: {line}" for line in made.cards[:CARDS]]
+        if len(made.cards) > CARDS:
+            lines.append(f"and {len(made.cards) - CARDS} more lines")
         lines.append(f"`modetune update {near(made.campaign)}` continues with it")
     return StudyResult(
         found,

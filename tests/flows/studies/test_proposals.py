@@ -18,9 +18,12 @@ from benchmarks.zoo.matrix_models import chain
 from benchmarks.zoo.structure import Structure
 
 import modetune
+from modetune.adapters.solver import Addition
 from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
+from modetune.core.modes import ModeSet
+from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.localise.proposals import ChangeSearch
 from tests.command_line import run_command
 
@@ -46,6 +49,29 @@ def searched(
     campaign = campaign_of(structure, modes, folder / "campaign")
     with searching(campaign, np.array([truth[n] for n in campaign.parameters.names])) as (it, _):
         yield it
+
+
+def soft_root(stiffness: float) -> str:
+    """Springs along x at the root of `block`."""
+    text = "*ELEMENT, TYPE=SPRING1, ELSET=SOFT\n"
+    text += "".join(f"{1000 + n}, {n}\n" for n in range(1, 5))
+    return text + f"*SPRING, ELSET=SOFT\n1\n{stiffness}\n"
+
+
+def boom(more: str = "", held: str = "123456") -> Structure:
+    """A cantilever of bars, on MYSTRAN. held: components of its root; more: cards."""
+    text = "SOL 103\nCEND\nMETHOD = 1\nSPC = 1\nBEGIN BULK\nEIGRL,1,,,12\nPARAM,COUPMASS,1\n"
+    text += "".join(f"GRID,{n + 1},,{120.0 * n},0.,0.\n" for n in range(11))
+    for n in range(10):
+        text += f"CBAR,{n + 1},{1 + n // 5},{n + 1},{n + 2},0.,0.,1.\n"
+    for number in (1, 2):
+        text += f"PBAR,{number},{number},300.,9000.,16000.,20000.\n"
+        text += f"MAT1,{number},70000.,,.33,2.7-9\n"
+    return Structure(
+        "boom", f"{text}SPC1,1,{held},1\n{more}ENDDATA\n",
+        tuple({"name": f"E{n}", "quantity": "youngs_modulus", "material": n} for n in (1, 2)),
+        tuple(range(2, 12)), 6, solver="mystran",
+    )  # fmt: skip
 
 
 def block(held: tuple[int, int], more: str = "") -> Structure:
@@ -81,12 +107,10 @@ def block(held: tuple[int, int], more: str = "") -> Structure:
 
 @needs_ccx
 def test_a_clamp_that_yields_is_found_with_its_stiffness(tmp_path: Path) -> None:
-    springs = "*ELEMENT, TYPE=SPRING1, ELSET=SOFT\n"
-    springs += (
-        "".join(f"{1000 + n}, {n}\n" for n in range(1, 5)) + "*SPRING, ELSET=SOFT\n1\n20000.\n"
-    )
     truth = {"E_ROOT": 1.1, "E_TIP": 0.95}
-    with searched(block((1, 3)), block((2, 3), springs), truth, tmp_path, noise=3) as search:
+    with searched(
+        block((1, 3)), block((2, 3), soft_root(20000.0)), truth, tmp_path, noise=3
+    ) as search:
         found = search.ranked()
     best = next(item for item in found.found if item.change.label.endswith("x yields"))
     # Whether it yields across too cannot be seen where it hardly moves across.
@@ -125,20 +149,6 @@ def test_nothing_is_proposed_where_nothing_lacks(tmp_path: Path) -> None:
 
 @needs_mystran
 def test_a_spring_on_a_rotation_is_found_on_mystran(tmp_path: Path) -> None:
-    def boom(more: str = "") -> Structure:
-        text = "SOL 103\nCEND\nMETHOD = 1\nSPC = 1\nBEGIN BULK\nEIGRL,1,,,12\nPARAM,COUPMASS,1\n"
-        text += "".join(f"GRID,{n + 1},,{120.0 * n},0.,0.\n" for n in range(11))
-        for n in range(10):
-            text += f"CBAR,{n + 1},{1 + n // 5},{n + 1},{n + 2},0.,0.,1.\n"
-        for number in (1, 2):
-            text += f"PBAR,{number},{number},300.,9000.,16000.,20000.\n"
-            text += f"MAT1,{number},70000.,,.33,2.7-9\n"
-        return Structure(
-            "boom", f"{text}SPC1,1,123456,1\n{more}ENDDATA\n",
-            tuple({"name": f"E{n}", "quantity": "youngs_modulus", "material": n} for n in (1, 2)),
-            tuple(range(2, 12)), 6, solver="mystran",
-        )  # fmt: skip
-
     held = boom("CELAS2,900,5.E6,7,5\n")
     with searched(boom(), held, {"E1": 1.05, "E2": 0.9}, tmp_path) as search:
         found = search.ranked()
@@ -162,6 +172,106 @@ def test_a_mass_is_found_in_a_model_of_matrices(tmp_path: Path) -> None:
     # Without noise, and unreduced: the rounding of the search's end.
     assert best.amplitudes[0] == pytest.approx(lacking, rel=1e-3)
     assert best.misfit < 1e-3
+
+
+def test_configurations_are_searched_together(tmp_path: Path) -> None:
+    """A mass that both states of a structure lack, each with the modes of three sensors alone."""
+    known = chain(np.random.default_rng(3))
+    assert isinstance(known.deck, dict)
+    mass = np.array(known.deck["mass"], dtype=np.float64)
+    place, own = len(mass) // 2, [item["name"] for item in known.parameters]
+    lacking, configurations = 0.1 * mass[place, place], []
+    for name, fuel in (("empty", 0.0), ("full", 0.8)):
+        loaded = mass.copy()
+        loaded[-1, -1] += fuel
+        deck = {**known.deck, "mass": loaded}
+        real = loaded.copy()
+        real[place, place] += lacking
+        (tmp_path / name).mkdir()
+        modes, _ = truth_of(
+            replace(known, deck={**deck, "mass": real}), dict.fromkeys(own, 1.1), tmp_path / name
+        )
+        measured = noisy(modes, FREQUENCY, SHAPE, len(name))
+        few = np.isin(measured.nodes, known.sensors[:: 2 if fuel else 3])
+        test = {
+            "frequencies_hz": measured.frequencies_hz,
+            "mode_shapes": measured.mode_shapes[few],
+            "dofs": [f"{node}.x" for node in measured.nodes[few].tolist()],
+        }
+        configurations.append({"name": name, "model": deck, "test": test})
+    given = {
+        "name": "two", "configurations": configurations,
+        "parameters": [{**item, "bounds": [0.4, 2.5]} for item in known.parameters],
+        "residuals": {
+            "frequency_deviation": FREQUENCY, "shape_weight": 1.0, "shape_deviation": SHAPE,
+        },
+        "run": {"parallel": 1}, "store": str(tmp_path / "store"),
+    }  # fmt: skip
+    campaign = modetune.load(given, folder=tmp_path)
+    with searching(campaign, np.full(len(own), 1.1)) as (search, runs):
+        together = search.ranked()
+    best = together.found[0]
+    assert runs == 2  # the matrices of each state
+    assert best.change.label == f"point mass at node {place + 1}"
+    assert abs(np.log(best.amplitudes[0] / lacking)) < SURE * best.errors[0]
+    # The second test adds what it measures: the sum of what each alone leaves unexplained.
+    assert len(search.cases) == 2
+    assert together.freedom == sum(c.known.residual.n_independent for c in search.cases) - len(own)
+
+
+@needs_ccx
+def test_a_support_becomes_springs_in_a_calculix_deck(tmp_path: Path) -> None:
+    """As in the deck that has these springs from the start."""
+    given = _loaded(block((1, 3)), tmp_path / "given")
+    added = Addition("support", (1, 2, 3, 4), 1, (20000.0,))
+    cards = given.case.solver.deck.with_cards(added)
+    assert cards.numbers == (
+        ("spring_stiffness", "elset", ("MODETUNE_ADDED_1_SUPPORT_1",), 20000.0),
+    )
+    soft = _loaded(replace(block((1, 3)), deck=cards.text), tmp_path / "soft")
+    by_hand = _loaded(block((2, 3), soft_root(20000.0)), tmp_path / "hand")
+    expected = modetune.modes(by_hand).elastic.frequencies_hz
+    # Printed with seven digits, in another order of equations.
+    assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(modetune.ModetuneError, match="no \\*BOUNDARY holds"):
+        given.case.solver.deck.with_cards(replace(added, nodes=(9,)))
+
+
+@needs_mystran
+@pytest.mark.parametrize("solver", ["mystran", "calculix"])
+def test_a_support_becomes_springs_in_a_nastran_deck(tmp_path: Path, solver: str) -> None:
+    given = _loaded(replace(boom(), solver=solver), tmp_path / "given")
+    cards = given.case.solver.deck.with_cards(Addition("support", (1,), 5, (5e6,)))
+    assert "$ SPC1,1,123456,1\n" in cards.text
+    soft = _loaded(replace(boom(), deck=cards.text, solver=solver), tmp_path / "soft")
+    by_hand = replace(boom("CELAS2,900,5.E6,1,5\n", held="12346"), solver=solver)
+    expected = modetune.modes(_loaded(by_hand, tmp_path / "hand")).elastic.frequencies_hz
+    stiff = modetune.modes(given).elastic.frequencies_hz
+    # The same cards but for their form: what either program prints.
+    assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+    assert abs(stiff[0] / expected[0] - 1.0) > 0.1
+
+
+@needs_ccx
+def test_a_clamp_that_yields_in_rotation_is_found_in_a_translated_deck(tmp_path: Path) -> None:
+    """CalculiX has rotations of a Nastran deck at nodes of their own."""
+    held = replace(boom("CELAS2,900,5.E6,1,5\n", held="12346"), solver="calculix")
+    known = replace(boom(), solver="calculix")
+    with searched(known, held, {"E1": 1.05, "E2": 0.9}, tmp_path) as search:
+        best = search.ranked().found[0]
+    assert best.change.label == "support at node 1, about y yields"
+    assert abs(np.log(best.amplitudes[0] / 5e6)) < SURE * best.errors[0]
+
+
+def _loaded(structure: Structure, folder: Path) -> Campaign:
+    """A campaign of a structure, whose test is of no importance."""
+    n = structure.n_modes
+    nodes = np.array(structure.sensors)
+    asked = ModeSet(
+        np.arange(1.0, n + 1.0), np.ones((nodes.size, n)), nodes, np.full(nodes.size, 1),
+        np.zeros(0), "unknown",
+    )  # fmt: skip
+    return campaign_of(structure, asked, folder)
 
 
 @pytest.fixture(scope="module")
