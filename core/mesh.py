@@ -160,6 +160,27 @@ def cell_sizes(mesh: Mesh) -> dict[int, float]:
     return found
 
 
+def part_labels(mesh: Mesh, nodes: Integers) -> Integers:
+    """Return which connected part each of some nodes is in, (n_nodes,), counted from 0.
+
+    nodes: numbers of nodes, ascending. Elements join those of their nodes that are among these.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for cells in mesh.cells:
+        inside = np.isin(cells.nodes, nodes)
+        some = np.flatnonzero(inside.sum(axis=1) > 1)
+        places, there = np.searchsorted(nodes, cells.nodes[some]), inside[some]
+        ahead = places[np.arange(some.size), there.argmax(axis=1)]
+        first.append(np.repeat(ahead, there.sum(axis=1)))
+        second.append(places[there])
+    a, b = np.concatenate(first), np.concatenate(second)
+    joined = coo_array((np.ones(a.size), (a, b)), shape=(nodes.size,) * 2)
+    return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+
+
 def shortest_length(mesh: Mesh) -> float:
     """The least distance of two corners of an element, infinite where there are none.
 

@@ -233,7 +233,10 @@ def _paired(
     drop = drop or (rules.drop and not test.has_shapes)  # more modes would not change the order
     pairing = first_pairing(test, seen, rules, resolution, others, drop)
     if test.modes.n_modes and not pairing.measured.size:
-        raise ModesError("no measured mode has a partner among the computed modes")
+        raise ModesError(
+            "no measured mode has a partner among the computed modes, and `test.unmatched: drop` "
+            "leaves out all of them: check the sensors' nodes and directions, and the units"
+        )
     refuse_uncertain(test, seen, pairing, rules)
     return seen, pairing
 

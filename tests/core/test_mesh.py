@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modetune.core.mesh import Cells, Mesh, node_strains
+from modetune.core.mesh import Cells, Mesh, node_strains, part_labels
 from modetune.core.modes import Floats
 
 #: Corners of a box of lengths 4, 2 and 1, in the order of VTK.
@@ -68,3 +68,13 @@ def test_a_spring_between_nodes_at_one_place_has_no_strain() -> None:
     nodes = np.array([1, 2])
     mesh = Mesh(nodes, np.zeros((2, 3)), (Cells("line", np.array([1]), nodes[None, :]),))
     assert node_strains(mesh, field(np.array([[0.0, 0, 0], [1.0, 0, 0]]))).tolist() == [0.0, 0.0]
+
+
+def test_parts_are_what_elements_join_through_the_given_nodes() -> None:
+    nodes = np.arange(1, 8)
+    chain = Cells("line", np.arange(1, 6), np.array([[1, 2], [2, 3], [3, 4], [5, 6], [6, 7]]))
+    mesh = Mesh(nodes, np.zeros((7, 3)), (chain,))
+    assert part_labels(mesh, nodes).tolist() == [0, 0, 0, 0, 1, 1, 1]
+    # Without node 2, node 1 has no neighbour among them.
+    assert part_labels(mesh, np.array([1, 3, 4, 6])).tolist() == [0, 1, 1, 2]
+    assert part_labels(mesh, nodes[:0]).size == 0

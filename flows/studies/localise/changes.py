@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from modetune.core.mesh import Mesh, cell_sizes
+from modetune.core.mesh import Mesh, cell_sizes, part_labels
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter
 from modetune.core.updating.candidates import AttachedModel, Term, spread_nodes
@@ -149,27 +149,11 @@ def close_pairs(mesh: Mesh) -> list[tuple[int, int]]:
     near = tree.query_pairs(reach, output_type="ndarray")
     if not near.size:
         return []
-    parts = _parts(mesh)
+    parts = part_labels(mesh, mesh.nodes)
     near = near[parts[near[:, 0]] != parts[near[:, 1]]]
     apart = np.linalg.norm(mesh.coordinates[near[:, 0]] - mesh.coordinates[near[:, 1]], axis=1)
     order = np.argsort(apart, kind="stable")
     return [(int(mesh.nodes[a]), int(mesh.nodes[b])) for a, b in near[order].tolist()]
-
-
-def _parts(mesh: Mesh) -> Integers:
-    """Return the number of the connected part of each node, (n_nodes,)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    first, second = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for cells in mesh.cells:
-        rows = mesh.rows(cells.nodes)
-        for place in range(1, rows.shape[1]):
-            first.append(rows[:, 0])
-            second.append(rows[:, place])
-    a, b = np.concatenate(first), np.concatenate(second)
-    joined = coo_array((np.ones(a.size), (a, b)), shape=(mesh.nodes.size,) * 2)
-    return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
 
 
 def changes_of(

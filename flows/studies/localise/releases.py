@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from modetune.adapters.solver import Deck, RigidLink
 from modetune.core.algebra.matrices import MatrixResult, upper_product
 from modetune.core.correlation.correlation import rigid_body_shapes
 from modetune.core.errors import ModelError, NoResult
-from modetune.core.mesh import Mesh
+from modetune.core.mesh import Mesh, part_labels
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import ParameterSet
 from modetune.core.updating.candidates import Released
@@ -135,7 +134,9 @@ def _groups(
     nodes = np.unique(free.nodes[held])
     if mesh.nodes.size:  # others are made by the solver, as of a beam's end that is held
         nodes = nodes[np.isin(nodes, mesh.nodes)]
-    for some in sorted(_connected(nodes, mesh), key=len, reverse=True)[:SUPPORTS]:
+    labels = part_labels(mesh, nodes)
+    parts = [nodes[labels == label] for label in np.unique(labels)]
+    for some in sorted(parts, key=len, reverse=True)[:SUPPORTS]:
         rows = np.flatnonzero(held & np.isin(free.nodes, some))
         yield f"support at {_named(some)}", True, tuple(some.tolist()), rows
     there = np.isin(_marks(free), _marks(base))
@@ -154,23 +155,6 @@ def _named(nodes: Integers) -> str:
     if nodes.size == 1:
         return f"node {nodes[0]}"
     return f"{nodes.size} nodes ({nodes.min()} to {nodes.max()})"
-
-
-def _connected(nodes: Integers, mesh: Mesh) -> list[Integers]:
-    """Return nodes in groups that elements join."""
-    if nodes.size < 2 or not mesh.nodes.size:
-        return [nodes] if nodes.size else []
-    first, second = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for cells in mesh.cells:
-        inside = np.isin(cells.nodes, nodes)
-        for row in np.flatnonzero(inside.sum(axis=1) > 1):
-            own = np.searchsorted(nodes, cells.nodes[row][inside[row]])
-            first.append(np.repeat(own[0], own.size - 1))
-            second.append(own[1:])
-    a, b = np.concatenate(first), np.concatenate(second)
-    joined = sparse.coo_array((np.ones(a.size), (a, b)), shape=(nodes.size,) * 2)
-    labels = connected_components(joined, directed=False)[1]
-    return [nodes[labels == label] for label in np.unique(labels)]
 
 
 def _patterns(

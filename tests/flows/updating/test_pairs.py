@@ -10,7 +10,7 @@ import pytest
 
 import modetune
 from modetune.core.correlation.pairing import LostMode, NotAmongComputed, UncertainPairs
-from modetune.core.errors import CampaignError
+from modetune.core.errors import CampaignError, ModesError
 
 #: Oscillators that share nothing: the fifth stands for a mode in the plane, which the test finds
 #: at 60.7 Hz, below the fourth.
@@ -115,6 +115,14 @@ def test_without_the_mode_that_the_model_has_not_the_others_are_updated(tmp_path
     np.testing.assert_array_equal(told.record.updated, plain.record.updated)
     assert told.summary["unmatched"] == [4]
     assert plain.summary["unmatched"] == []
+
+
+def test_a_test_of_which_no_mode_has_a_partner_is_refused(tmp_path: Path) -> None:
+    strange = np.array([[1.0, -1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0, 1.0]]).T
+    test = {"frequencies_hz": [30.0, 34.0], "mode_shapes": strange, "dofs": NAMES}
+    wing = campaign(tmp_path, {**test, "unmatched": "drop"}, [0.5, 2.0])
+    with pytest.raises(ModesError, match=r"no measured mode has a partner .* nodes and directions"):
+        modetune.update(wing, tmp_path / "runs")
 
 
 @pytest.mark.parametrize(
