@@ -41,10 +41,9 @@ def with_addition(
         lines += [*kept, *_wide("PELAS", number, value)]
         for place, (node, axis) in enumerate(held):
             lines += _wide("CELAS1", number + place, number, node, axis)
-        numbers = (("spring_stiffness", "property", (str(number),), value),)
-        return AddedCards(
-            text_with(deck.file, before, lines, "$ ", comments), tuple(lines), numbers
-        )
+        text = text_with(deck.file, before, lines, "$ ", comments)
+        stiffness = ("spring_stiffness", "property", (str(number),), value)
+        return AddedCards(text, tuple(lines), (stiffness,))
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""

@@ -67,11 +67,11 @@ def released_model(
         logger.info("supports and links are not released: %s", error)
         return None
     here = matrices.at(source.written(theta))
-    seen = deck.observation(base, here.nodes, here.components).matrix
+    motion = deck.observation(base, here.nodes, here.components).matrix
     observed = free.observation(here, *rows)
     loads = free.observation(here, places.load_nodes, places.load_components)
     here, base = (_of_mesh(own, of) for own, of in ((here, free), (base, deck)))
-    seen = _tie(seen, base, here)
+    seen = _tie(motion, base, here)
     if seen is None or not _is_same(seen, here, base):
         logger.info("supports and links are not released: the free model is not the same one")
         return None
