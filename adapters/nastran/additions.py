@@ -42,8 +42,8 @@ def with_addition(
         for place, (node, axis) in enumerate(held):
             lines += _wide("CELAS1", number + place, number, node, axis)
         text = text_with(deck.file, before, lines, "$ ", comments)
-        stiffness = ("spring_stiffness", "property", (str(number),), value)
-        return AddedCards(text, tuple(lines), (stiffness,))
+        names = (str(number),)
+        return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""
