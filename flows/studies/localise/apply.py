@@ -13,7 +13,7 @@ from pathlib import Path
 
 import yaml
 
-from modetune.adapters.solver import AddedCards, Addition
+from modetune.adapters.solver import AddedCards, Addition, Deck
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.parameters import Quantity, TargetKind
 from modetune.core.storage.files import writing
@@ -68,8 +68,10 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
             model = case.solver.deck.summary
             if model.file is None:
                 raise ModelError(f"{model.name} has no deck to add cards to")
-            if model.node_ids.issuperset(added.nodes):
+            if _has_place(case.solver.deck, added):
                 decks.setdefault(model.file.resolve(), case.solver.deck.with_cards(added))
+        if not decks:
+            raise ModelError(f"no deck of {campaign.file} has the place of {change.label}")
         numbers = next(iter(decks.values())).numbers
         entries = [_entry(campaign, (value, q, by, names, 0)) for q, by, names, value in numbers]
     files = {file: file.with_name(f"{out.stem}_{file.name}") for file in decks}
@@ -84,6 +86,13 @@ def applied(campaign: Campaign, proposal: Proposal, out: Path) -> Applied:
         part.write_text(text, encoding="utf-8")
     lines = next((cards.lines for cards in decks.values()), ())
     return Applied(out, tuple(files.values()), lines)
+
+
+def _has_place(deck: Deck, added: Addition) -> bool:
+    """Return whether a configuration's deck has what changes."""
+    if added.kind == "support":
+        return not deck.fixed().keys().isdisjoint(added.nodes)
+    return deck.summary.node_ids.issuperset(added.nodes)
 
 
 def addition(change: ModelChange, values: list[float]) -> Addition:

@@ -24,7 +24,9 @@ from modetune.configs.cases import write_case
 from modetune.configs.measuring import noisy, signed
 from modetune.core.modes import ModeSet
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.studies.localise.proposals import ChangeSearch
+from modetune.flows.studies.localise.apply import applied
+from modetune.flows.studies.localise.changes import ModelChange
+from modetune.flows.studies.localise.proposals import ChangeSearch, Proposal
 from tests.command_line import run_command
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not here")
@@ -235,6 +237,37 @@ def test_a_support_becomes_springs_in_a_calculix_deck(tmp_path: Path) -> None:
     assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
     with pytest.raises(modetune.ModetuneError, match="no \\*BOUNDARY holds"):
         given.case.solver.deck.with_cards(replace(added, nodes=(9,)))
+
+
+def test_only_configurations_with_a_support_get_springs(tmp_path: Path) -> None:
+    """A clamped and a free state, both measured; the clamp yields."""
+    clamped = block((1, 3))
+    decks = {"clamped": clamped.deck, "free": str(clamped.deck).partition("*BOUNDARY")[0]}
+    (tmp_path / "modes.csv").write_text("mode,frequency_hz,5.x,9.x\n1,100.0,1.0,0.5\n")
+    for name, text in decks.items():
+        (tmp_path / f"{name}.inp").write_text(str(text))
+    given = {
+        "name": "two",
+        "configurations": [
+            {"name": name, "model": {"deck": f"{name}.inp"}, "test": {"modes": "modes.csv"}}
+            for name in decks
+        ],
+        "parameters": [{**item, "bounds": [0.4, 2.5]} for item in clamped.parameters],
+    }
+    (tmp_path / "two.yaml").write_text(yaml.safe_dump(given))
+    change = ModelChange(
+        "yielding support", "", (1, 2, 3, 4), 1, ((), ()), np.zeros(1), np.ones(1), constrained=True
+    )
+    best = Proposal(change, np.array([2e4]), np.zeros(1), np.ones(2), 0.0, 1.0, 1.0, 1.0, ())
+    made = applied(modetune.load(tmp_path / "two.yaml"), best, tmp_path / "soft.yaml")
+    assert [file.name for file in made.decks] == ["soft_clamped.inp"]
+    after = yaml.safe_load((tmp_path / "soft.yaml").read_text())
+    used = [item["model"]["deck"] for item in after["configurations"]]
+    assert used == ["soft_clamped.inp", "free.inp"]
+    assert after["parameters"][-1]["elset"] == "MODETUNE_ADDED_1_SUPPORT_1"
+    nowhere = replace(best, change=replace(change, nodes=(27, 28)))
+    with pytest.raises(modetune.ModetuneError, match="no deck of"):
+        applied(modetune.load(tmp_path / "two.yaml"), nowhere, tmp_path / "other.yaml")
 
 
 @needs_mystran
