@@ -249,7 +249,11 @@ def test_only_configurations_with_a_support_get_springs(tmp_path: Path) -> None:
     given = {
         "name": "two",
         "configurations": [
-            {"name": name, "model": {"deck": f"{name}.inp"}, "test": {"modes": "modes.csv"}}
+            {
+                "name": name,
+                "model": {"deck": f"{name}.inp", "units": "mm-t-s"},
+                "test": {"modes": "modes.csv"},
+            }
             for name in decks
         ],
         "parameters": [{**item, "bounds": [0.4, 2.5]} for item in clamped.parameters],
