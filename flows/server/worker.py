@@ -61,7 +61,7 @@ TEMPLATE: dict[str, Any] = {
     "variables": {"type": "object", "properties": {}, "additionalProperties": False},
 }
 #: The command of every run.
-COMMAND = (sys.executable, "-P", "-m", "modetune.flows.server.deployed")
+COMMAND = (sys.executable, "-P", "-m", "modetune.flows.server.run_program")
 #: Seconds that a run has to end when its worker does, or when it is cancelled before it began.
 GRACE_S = 30.0
 #: Seconds for which the worker sends heartbeats of a run: until its own watcher does.

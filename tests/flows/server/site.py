@@ -22,7 +22,7 @@ from tests.flows.conftest import api_of
 
 SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 #: What the processes of a site are, by a part of their command lines.
-WORKER, RUN = b"modetune\0server\0worker", b"server.deployed"
+WORKER, RUN = b"modetune\0server\0worker", b"server.run_program"
 SERVER = (b"jobs.prefect_server", b"prefect\0server")
 #: Seconds that a busy machine may need to start something.
 PATIENCE_S = 200.0
