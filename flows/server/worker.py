@@ -3,7 +3,7 @@
 Prefect polls, counts, schedules and cancels pending runs. Of a run this worker reads its identity,
 flow name and parameters: the pool's template and the deployment's job variables, entry point, pull
 steps, path, command and environment could bring a program of whoever may write to the server. Each
-run is a process with a fixed command (`deployed.py`). A run whose process ends without a final
+run is a process with a fixed command (`run_program.py`). A run whose process ends without a final
 state, here or on another machine, is marked as crashed, so that the next one can start. A server
 that is gone is waited for.
 
