@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     from modetune.flows.studies.direct.request import DirectMethod, Filling
     from modetune.flows.studies.expand.expansion import Expansions
     from modetune.flows.studies.expand.request import ExpansionMethod
+    from modetune.flows.studies.history.differences import RunDifference
+    from modetune.flows.studies.history.study import StructureHistory
     from modetune.flows.studies.localise.localisation import Localisation
     from modetune.flows.studies.pretest.plan import Pretest
     from modetune.flows.studies.pretest.request import Directions, PlacementMethod
@@ -363,6 +365,28 @@ def compare(
     return found
 
 
+def history(
+    of: CampaignLike | Sequence[str | Path],
+    runs: StrPath = "runs",
+    *,
+    csv: StrPath | None = None,
+    figures: StrPath | None = None,
+    page: StrPath | None = None,
+    settings: Settings = (),
+) -> StructureHistory | RunDifference:
+    """Show the history of a structure: its runs, trends, and whether it changed.
+
+    of: a campaign or run folder; or a list of it with one or two dates, or of two runs, for what
+    changed between them. csv: file for the table of runs.
+    """
+    words = [of] if isinstance(of, Campaign | str | Path | Mapping) else list(of)
+    given: dict[str, Any]
+    given = {"of": [_history_word(word) for word in words], "progress": False, "prefect": False}
+    given |= {"runs": runs, "csv": csv, "figures": figures, "page": page, "settings": settings}
+    found: StructureHistory | RunDifference = _found("history", given)
+    return found
+
+
 def pretest(
     campaign: CampaignLike,
     *,
@@ -609,6 +633,11 @@ def _campaign_path(campaign: CampaignLike, folder: StrPath | None) -> Path:
     if isinstance(campaign, Mapping):
         return write_campaign(campaign, None if folder is None else Path(folder))
     return Path(campaign)
+
+
+def _history_word(word: CampaignLike) -> str:
+    """Return a campaign's file, or a path or date as it is."""
+    return str(word) if isinstance(word, str | Path) else str(_campaign_path(word, None))
 
 
 def _paths(paths: Paths) -> list[Path]:

@@ -14,6 +14,7 @@
                         (n_modes, n_modes) of the frequencies
     repeats/            of repeated tests: places, numbers, frequencies_hz, damping_ratios, used
                         (n_tests, n_modes); attribute worth
+    environment/        keys, values (n_quantities,): what else was measured, such as temperature_C
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
 that follows, which is verified before HDF5 opens the file (`core/storage/sealed_file`). Other
@@ -22,6 +23,7 @@ programs write such files with `write_test_hdf5`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -73,6 +75,7 @@ class _File:
     frfs: MeasuredFrfs | None
     deviations: MeasuredDeviations | None = None
     repeats: RepeatedTests | None = None
+    environment: Mapping[str, float] | None = None
 
 
 def write_test_hdf5(path: Path, measurement: Measurement) -> None:
@@ -90,6 +93,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
         measurement.frfs,
         measurement.deviations,
         measurement.repeats,
+        measurement.environment or None,
     )
     data = sealed(OWN_TITLE, lambda file: write_value(file, form))
     with writing(path) as part:
@@ -124,7 +128,15 @@ def read_test_hdf5(path: Path) -> Measurement:
             modes = MeasuredModes(tuple(form.modes.numbers.tolist()), ModeSet(**columns))
     except (StoreDamaged, ModesError) as problem:
         raise CampaignError(f"test file {path} is not a readable test ({problem})") from problem
-    return Measurement(modes, form.geometry, form.frfs, form.notes, form.deviations, form.repeats)
+    return Measurement(
+        modes,
+        form.geometry,
+        form.frfs,
+        form.notes,
+        form.deviations,
+        form.repeats,
+        environment=form.environment or {},
+    )
 
 
 FORMAT = Format(read=lambda path, kind: read_test_hdf5(path), write=write_test_hdf5)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modetune.adapters.test_files.environment_csv import split_environment
 from modetune.adapters.test_files.file_kind import (
     NUMBERS,
     SUFFIXES,
@@ -195,7 +196,9 @@ def write_test(path: Path, test: Measurement, comments: Sequence[str] = ()) -> l
         return [path]
     written = []
     if (modes := test.modes) is not None:
-        write_modes_csv(path, modes.numbers, modes.modes, comments, test.deviations)
+        write_modes_csv(
+            path, modes.numbers, modes.modes, comments, test.deviations, test.environment
+        )
         written.append(path)
     if test.geometry is not None:
         points = path.with_name(f"{path.stem}-points.csv") if written else path
@@ -240,7 +243,9 @@ def _read_tables(path: Path, kind: FileKind, computed: bool = False) -> Measurem
     wanted = [
         table
         for table in tables
-        if table.first in ("mode", "frequency_hz", "node", "metres") or is_repeated(table)
+        if table.first in ("mode", "frequency_hz", "node", "metres")
+        or is_repeated(table)
+        or split_environment(table)[0]
     ]
     if not wanted:
         sheets = ", ".join(table.name.removeprefix(f"{path}, sheet ") for table in tables)
@@ -258,9 +263,14 @@ def _table_histories(path: Path, notes: list[str]) -> list[TimeHistories]:
 
 
 def _of_table(table: FileTable, computed: bool) -> Measurement:
-    if is_geometry(table):
-        return Measurement(geometry=geometry_of(table))
-    return repeated_of(table) if is_repeated(table) else modes_of(table, computed)
+    environment, rest = split_environment(table)
+    if environment and not rest.rows:
+        return Measurement(environment=environment)
+    if is_geometry(rest):
+        found = Measurement(geometry=geometry_of(rest))
+    else:
+        found = repeated_of(rest) if is_repeated(rest) else modes_of(rest, computed)
+    return replace(found, environment=environment)
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
@@ -283,6 +293,8 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
         for name, found in (("modes", modes), ("geometry", geometry), ("frfs", frfs)):
             if found is not None:
                 places[name] = place
+        if both := sorted(whole.environment.keys() & part.environment.keys()):
+            raise CampaignError(f"two files give {both[0]} of the environment; leave out one")
         # Joined modes have no complex shapes.
         shapes = part.complex_shapes if whole.modes is None else whole.complex_shapes
         joined = whole.modes is not None and part.modes is not None
@@ -294,6 +306,7 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             whole.deviations or part.deviations,
             whole.repeats or part.repeats,
             None if joined else shapes,
+            {**whole.environment, **part.environment},
         )
     return whole
 

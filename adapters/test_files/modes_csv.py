@@ -8,6 +8,7 @@
     shape_deviation,     0.02,  0.02,  0.1      (optional, of a shape's entries, over its rms)
     101.x,          0.12,  -0.40,   0.03        (sensor: node.component x y z rx ry rz)
     101.z,          ...
+    environment temperature_C, 21.5             (optional, see `environment_csv`)
 
 One column a mode, numbered as the test numbers them; or one row a mode, where the first row has
 the names. Sensor rows are optional: without them only frequencies are compared. Each shape
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -199,6 +200,7 @@ def write_modes_csv(
     modes: ModeSet,
     comment: Sequence[str] = (),
     deviations: MeasuredDeviations | None = None,
+    environment: Mapping[str, float] | None = None,
 ) -> None:
     """Write real modes in the form that `read_modes_csv` reads.
 
@@ -221,6 +223,7 @@ def write_modes_csv(
     for row in range(modes.n_dof):
         component = COMPONENTS[modes.components[row] - 1]
         lines.append(_row(f"{modes.nodes[row]}.{component}", modes.mode_shapes[row].tolist()))
+    lines += [_row(f"environment {name}", [value]) for name, value in (environment or {}).items()]
     with writing(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

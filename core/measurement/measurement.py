@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -178,6 +179,7 @@ class Measurement:
     notes: what the reader decided or left out, a sentence each, for people.
     deviations: of the modes, in their order; repeats: the tests that the modes are the mean of.
     complex_shapes: (n_dof, n_modes), of the modes as measured, where they are not real.
+    environment: what else was measured, such as temperature_C, by name.
     """
 
     modes: MeasuredModes | None = None
@@ -187,10 +189,12 @@ class Measurement:
     deviations: MeasuredDeviations | None = None
     repeats: RepeatedTests | None = None
     complex_shapes: Complexes | None = None
+    environment: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = brief
 
     @property
     def is_empty(self) -> bool:
-        """Whether there are neither modes, geometry nor response functions."""
-        return self.modes is None and self.geometry is None and self.frfs is None
+        """Whether there are neither modes, geometry, response functions nor an environment."""
+        parts = (self.modes, self.geometry, self.frfs)
+        return all(part is None for part in parts) and not self.environment

@@ -6,13 +6,18 @@ HDF5 content (`core/storage/sealed_file`).
 
     /                      attributes: name, status, reason, solver, solver_version,
                            modetune_version, units, deck_digest (SHA-256 and name of its file),
-                           e1_frequency, e1_mac, e2, campaign_text (of its file), wall_s
+                           e1_frequency, e1_mac, e2, campaign_text (of its file), wall_s,
+                           ended_at (seconds since 1970, UTC; NaN while it runs), state and drift
+                           (of the structure over its runs, a word and a sentence)
                            datasets: deck_values (n_parameters + n_dependents,), updated,
                            standard_errors (NaN if withheld), repeatability (n_parameters,),
-                           correlation (n_par, n_par), settings (what was put over the
-                           campaign for this run),
+                           correlation (n_par, n_par), covariance (n_par, n_par; of repeatability),
+                           settings (what was put over the campaign for this run), changed
+                           (names of parameters that changed over the runs),
                            versions (of Python and packages), configurations (n_modes,): whose
                            test each mode is of, empty where the campaign has one model
+    /environment/          keys, values (n_quantities,): what was measured with the test, such as
+                           temperature_C
     /runs/                 attributes: modal, sensitivity, reused, core_s, licence_s
     /parameters/parameters/0000/...   one group a parameter: attributes name, quantity, by, lower,
                            upper, standard_deviation, initial, item, values, origin, scale,
@@ -68,6 +73,7 @@ iteration.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from operator import add, sub
 from pathlib import Path
@@ -179,7 +185,10 @@ class CampaignRecord:
     it runs, and where nothing was held out. configurations: (n_modes,), whose test each
     mode of `test` is of; empty where the campaign has one model. splits: cards that were added for
     the elements of parameters, a sentence each. fields: what the test says of parameters an element
-    or zone; none while the campaign runs.
+    or zone; none while the campaign runs. covariance: of repeatability, empty without a
+    sensitivity. ended_at: seconds since 1970. environment: what was measured with the test.
+    state, drift: of the structure over its runs, empty where no history was kept; changed: names of
+    the parameters that changed.
     """
 
     name: str
@@ -216,6 +225,12 @@ class CampaignRecord:
     fields: tuple[FieldAnswer, ...] = ()
     configurations: tuple[str, ...] = ()
     splits: tuple[str, ...] = ()
+    covariance: Floats = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    ended_at: float = float("nan")
+    environment: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    state: str = ""
+    drift: str = ""
+    changed: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -257,12 +272,24 @@ def _without_sections(file: h5py.File) -> None:
     """Leave the content of format 9 as it is: format 10 may have sensors on sections of bars."""
 
 
+def _with_history(file: h5py.File) -> None:
+    """Change the content of format 10 into that of 11, which knows when a run ended."""
+    file["covariance"] = np.zeros((0, 0))
+    file.attrs["ended_at"] = np.nan
+    for name in ("state", "drift"):
+        file.attrs[name] = ""
+    file.create_dataset("changed", shape=(0,), dtype=h5py.string_dtype())
+    made = file.create_group("environment")
+    made.create_dataset("keys", shape=(0,), dtype=h5py.string_dtype())
+    made["values"] = np.zeros(0)
+
+
 CAMPAIGN = RecordFile(
     CampaignRecord,
     "campaign",
     "campaign.h5",
-    10,
-    {7: _with_extent, 8: _with_repeatability, 9: _without_sections},
+    11,
+    {7: _with_extent, 8: _with_repeatability, 9: _without_sections, 10: _with_history},
 )
 
 

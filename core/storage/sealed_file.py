@@ -96,7 +96,8 @@ class RecordFile(Generic[R]):
     """A kind of record: what it is of, its usual file name, and the number of its format.
 
     The number grows whenever the layout of its dataclasses changes. earlier: by the number of an
-    earlier format, a function that changes the content of such a file into the next one's.
+    earlier format, a function that changes the content of such a file into the next one's. remedy:
+    what to do with a file that cannot be read; by default to run what the record is of again.
     """
 
     kind: type[R]
@@ -104,6 +105,11 @@ class RecordFile(Generic[R]):
     file: str
     format: int
     earlier: Mapping[int, Callable[[h5py.File], None]] = field(default_factory=dict)
+    remedy: str = ""
+
+    @property
+    def again(self) -> str:
+        return self.remedy or f"run the {self.noun} again"
 
     @property
     def title(self) -> str:
@@ -130,7 +136,7 @@ class RecordFile(Generic[R]):
         if data.startswith(HDF5):
             raise CampaignError(
                 f"{path} is not {what} of this version: it is HDF5 without a seal, as earlier "
-                f"versions of modetune and other programs write it; run the {self.noun} again"
+                f"versions of modetune and other programs write it; {self.again}"
             )
         if not title.startswith(self.title):
             raise CampaignError(f"{path} is not {what}, or its beginning is damaged")
@@ -140,13 +146,13 @@ class RecordFile(Generic[R]):
         if found > self.format or None in upgrades:
             raise CampaignError(
                 f"{path} is a {title.removeprefix('modetune ')}, and this version of modetune "
-                f"reads format {self.format}; use the version that wrote it, or run the "
-                f"{self.noun} again"
+                f"reads format {self.format}; use the version that wrote it, or {self.again}"
             )
         if not holds(data, title):
+            stored = "" if self.remedy else ", for which the store has what was solved"
             raise StoreDamaged(
                 f"the checksum of {path} does not hold: the record was damaged or cut short; copy "
-                f"it again, or run the {self.noun} again, for which the store has what was solved"
+                f"it again, or {self.again}{stored}"
             )
         try:
             with content(data, "r+" if upgrades else "r") as file:

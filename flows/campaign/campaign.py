@@ -138,6 +138,15 @@ class Campaign:
         return tuple(item.name for item in self.used for _ in item.test.numbers)
 
     @property
+    def environment(self) -> dict[str, float]:
+        """What was measured with the tests, by name, with the configuration's where several."""
+        return {
+            case.of(name): value
+            for case in self.used
+            for name, value in case.measurement.environment.items()
+        }
+
+    @property
     def start(self) -> Floats:
         """Parameter values (n_parameters,) that updating starts from."""
         return self.parameters.initial if self.begin is None else np.array(self.begin)

@@ -327,6 +327,9 @@ class TestSection(Section):
     repeats: tuple[str, ...] = ()
     """Files of repetitions of the test. modetune uses the mean of all, and takes deviations from
     their scatter."""
+    environment: dict[Name, Finite] = Field(default={})
+    """What else was measured with the test, by name: `{temperature_C: 21.5}`. Rows `environment
+    temperature_C, 21.5` of the test's tables give the same; a value here replaces theirs."""
     length: LengthUnit | None = None
     """Length unit of the test's coordinates, if its files do not define it."""
     axes: Literal["auto", "rows", "columns"] = "auto"

@@ -135,6 +135,9 @@ class SiteRun(Section):
     fail_on: FailOn = "never"
     """Verdicts that make an update whose e1 is met fail, with exit code 6 and a flow run of type
     Failed: `not-trusted`; `doubt`, any verdict but trusted; or `never`."""
+    keep: Annotated[int, Field(ge=0, le=100_000)] = 10
+    """Number of runs whose record, report and deck stay in `history` below the run folder. The
+    past runs of the history stay for ever."""
 
 
 class RunSection(SiteRun):

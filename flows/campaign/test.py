@@ -52,6 +52,8 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         if again is None:
             return None
         measurement = again
+    environment = {**measurement.environment, **file.test.environment}
+    measurement = replace(measurement, environment=environment)
     test = measurement.modes
     if test is None:
         problems.append(f"{source.where(('test', 'modes'))}: {text} holds no modes")
@@ -127,6 +129,7 @@ def _with_repeats(
         mean,
         geometry=measurement.geometry,
         frfs=measurement.frfs,
+        environment=measurement.environment,
         notes=(*measurement.notes, *mean.notes),
     )
 

@@ -125,6 +125,7 @@ def _told(inspection: Inspection) -> dict[str, Any]:
             "coherences": bool(frfs.coherences.size),
         },
         functions=inspection.n_functions,
+        environment=dict(measurement.environment),
     )
 
 
@@ -180,6 +181,9 @@ def _lines(told: dict[str, Any]) -> list[str]:
         )
     elif told["functions"]:
         lines.append(f"functions  {told['functions']}, without a usable response function")
+    if told["environment"]:
+        values = ", ".join(f"{name} {value:g}" for name, value in told["environment"].items())
+        lines.append(f"environment {values}")
     if told["modes"]:
         lines.append(f"modes      {len(told['modes'])} at {told['sensors']} sensors")
     return lines

@@ -30,13 +30,14 @@ def print_end(end: StudyResult, as_json: bool) -> None:
     if as_json and end.json_file is not None:
         with writing(end.json_file) as part:
             part.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    files = [f"written: {near(path)}" for path in end.written or ()]
     if end.shown is not None and not as_json:
         from modetune.flows.report.terminal import terminal
 
         end.shown(terminal())
+        show(files)
     else:
         lines = (Text(line, style="red" if line in end.doubts else "") for line in end.lines)
-        files = (f"written: {near(path)}" for path in end.written or ())
         print_result(result, [*end.tables, *lines, *files], as_json)
     if end.remark:
         typer.echo(f"modetune: {end.remark}", err=True)

@@ -23,6 +23,7 @@ STUDIES = {
     "localise": ("localise.study", STUDY),
     "update": ("update", DAY),
     "compare": ("compare.study", STUDY),
+    "history": ("history.study", DAY),
     "expand": ("expand.study", MODEL),
     "reduce": ("reduce.study", MODEL),
     "direct": ("direct.study", MODEL),

@@ -58,7 +58,8 @@ class ParameterErrors:
     """The errors of parameters, and whether predictions of left-out modes confirm them.
 
     standard_errors: (n,), NaN if withheld. repeatability: (n,), from the test's noise alone.
-    correlation: (n, n). remaining: (n,), the distance to the minimum misfit. limited: names of
+    correlation: (n, n). covariance: (n, n), of repeatability. remaining: (n,), the distance to the
+    minimum misfit. limited: names of
     responses at a limit there. missed: names of the modes, among n_predicted, that lie outside the
     interval predicted from the other modes. notes: sentences on the model's own error.
     """
@@ -66,6 +67,7 @@ class ParameterErrors:
     standard_errors: Floats
     repeatability: Floats
     correlation: Floats
+    covariance: Floats
     remaining: Floats
     limited: tuple[str, ...] = ()
     missed: tuple[str, ...] = ()
@@ -88,7 +90,7 @@ def parameter_errors(
     n, found, factor = len(campaign.parameters), last.residual, last.regularisation
     if matrix is None:
         none = np.full(n, np.nan)
-        return ParameterErrors(none, none, np.full((n, n), np.nan), none)
+        return ParameterErrors(none, none, np.full((n, n), np.nan), np.zeros((0, 0)), none)
     remaining, held, limits = way_to_least_misfit(
         campaign, last.parameters, found, matrix.values, factor
     )
@@ -122,6 +124,7 @@ def parameter_errors(
         deviations,
         np.sqrt(np.diag(noise)),
         correlation,
+        noise,
         remaining,
         tuple(found.labels[row] for row in limits.tolist()),
         missed,

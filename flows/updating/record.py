@@ -135,6 +135,8 @@ def campaign_record(
         if status == "running"
         else campaign_trust(campaign, iterations, matrix, errors, status == "converged", answers),
         fields=answers,
+        covariance=errors.covariance,
+        environment=campaign.environment,
     )
 
 

@@ -78,6 +78,7 @@ from modetune.flows.updating.record import (
     unfinished_record,
 )
 from modetune.flows.updating.reduced_model import ByMatrices, finder_of
+from modetune.flows.updating.run_history import RunHistory
 from modetune.flows.updating.sensitivities import not_linear
 from modetune.flows.updating.starts import (
     FoundMinima,
@@ -270,7 +271,7 @@ class Updating:
     campaign: Campaign
     evaluator: Evaluator
     progress: Progress
-    save: Callable[[CampaignRecord], None]
+    save: Callable[[CampaignRecord], None]  # while it is in progress
     around: Evaluation | None = None
     matrix: Matrix | None = None
     counted: RunCounts = field(default_factory=RunCounts)
@@ -308,7 +309,6 @@ class Updating:
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
             record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
-        self.save(record)
         return record
 
     def _with_causes(self, record: CampaignRecord) -> CampaignRecord:
@@ -438,10 +438,12 @@ def update_campaign(
     folder: Path,
     progress: Progress,
     forecast: Callable[[Forecast], None] | None = None,
+    joined: Callable[[CampaignRecord], CampaignRecord] = lambda record: record,
 ) -> CampaignRun:
-    """Update a campaign's model and leave record and updated deck in its run folder.
+    """Update a campaign's model and leave record, report and updated deck in its run folder.
 
     forecast: is called before the start and after each iteration with what is still to come.
+    joined: makes the final record, with what other updates found.
     Raises SolverError, ModesError, StoreError.
     """
     campaign.solver_version()  # a missing solver is reported before anything starts
@@ -454,7 +456,7 @@ def update_campaign(
                 "another place for run folders with --runs"
             )
         with campaign_log(campaign, folder), solving_engine(campaign) as engine:
-            return _update(campaign, engine, folder, progress, forecast)
+            return _update(campaign, engine, folder, progress, forecast, joined)
 
 
 def _update(
@@ -463,8 +465,11 @@ def _update(
     folder: Path,
     progress: Progress,
     forecast: Callable[[Forecast], None] | None,
+    joined: Callable[[CampaignRecord], CampaignRecord],
 ) -> CampaignRun:
-    earlier = read_earlier(folder)
+    earlier, history = read_earlier(folder), RunHistory(folder, campaign.run.keep)
+    if earlier is not None:
+        history.recover(earlier.record)
     campaign = start_of(campaign, engine, earlier)
     # Results of an earlier run stay until this one has finished.
     unfinished, logged = folder / "campaign.unfinished.h5", 0
@@ -490,7 +495,9 @@ def _update(
     forecaster = Forecaster(campaign, engine, progress, forecast) if forecast else None
     evaluator = evaluator_of(campaign, engine)
     with unfinished_record(unfinished) as write:
-        record = Updating(campaign, evaluator, forecaster or progress, keep).run()
+        record = joined(Updating(campaign, evaluator, forecaster or progress, keep).run())
+        record = replace(record, ended_at=time.time())
+        keep(record)
     logger.info("%s: %s", record.status, record.reason)
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
@@ -501,7 +508,9 @@ def _update(
         page = draw_report(with_first_cost(record, earlier), folder)
     else:
         page = None
-    return CampaignRun(record, folder, deck, forecaster.first if forecaster else None, page)
+    history.add(record, page)
+    first = forecaster.first if forecaster else None
+    return CampaignRun(record, folder, deck, first, page)
 
 
 def update_from_starts(
@@ -545,19 +554,13 @@ def update_from_starts(
     assert answer is not None
     spread = found.spread(answer)
     settings = own.update.model_copy(update={"start": "deck", "starts": 1})
-    best = replace(
-        own,
-        update=settings,
-        begin=tuple(starts[spread.chosen].tolist()),
-        report=own.report.model_copy(update={"page": False}),  # drawn below, of all starts
-    )
-    run = update_campaign(best, folder, progress, forecast)
-    record = replace(_joined(run.record, ends, spread, spent), wall_s=time.monotonic() - began)
-    write_record(folder / "campaign.h5", record)
-    if campaign.report.page:
-        progress.working("drawing the report")
-        run = replace(run, page=draw_report(record, folder))
-    return replace(run, record=record)
+    best = replace(own, update=settings, begin=tuple(starts[spread.chosen].tolist()))
+
+    def joined(record: CampaignRecord) -> CampaignRecord:
+        whole = _joined(record, ends, spread, spent)
+        return replace(whole, wall_s=time.monotonic() - began)
+
+    return update_campaign(best, folder, progress, forecast, joined)
 
 
 def _cost_little(campaign: Campaign) -> bool:

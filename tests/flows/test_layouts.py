@@ -13,6 +13,7 @@ from typing import Any, get_args
 
 import pytest
 
+from modetune.core.monitoring.past_runs import PAST_RUN
 from modetune.core.storage import codec, store
 from modetune.core.storage.campaign_record import CAMPAIGN
 from modetune.core.updating.job_results import Result
@@ -52,7 +53,8 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (10, "eafac9b80def")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (11, "4b135ae9331a")),
+        (PAST_RUN.kind, PAST_RUN.format, (1, "25e6bf3d2495")),
         (SCREENING.kind, SCREENING.format, (7, "0750f1b2a126")),
         (SCATTER.kind, SCATTER.format, (2, "abe5ba0d35f1")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),

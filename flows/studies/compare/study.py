@@ -47,7 +47,7 @@ class CompareOptions(StudyOptions):
 
 @study(CompareOptions)
 def compare(on: StudyContext, options: CompareOptions) -> StudyResult:
-    """Compare models of one test: which explains it best, and which measurement would decide.
+    """Compare models of one test: which explains it best, and what would decide.
 
     Updates each campaign unless its run folder has the update, and weighs the models by their
     evidence: the likelihood of all measured data, averaged over the prior of the parameters.
