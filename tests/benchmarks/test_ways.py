@@ -172,7 +172,7 @@ def test_a_solution_from_matrices_is_calculixs(tmp_path: Path) -> None:
 
 @needs_ccx
 @pytest.mark.timeout(900)  # some fifty runs, which take long where all cores are busy
-@pytest.mark.parametrize("letters", ["ace", pytest.param("abcdef", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("letters", ["ae", pytest.param("abcdef", marks=pytest.mark.nightly)])
 def test_ways_update_the_smallest_aircraft(letters: str, capfd: pytest.CaptureFixture[str]) -> None:
     if "f" in letters:
         pytest.importorskip("dakota.environment", reason="Dakota is not installed")
@@ -189,9 +189,10 @@ def test_ways_update_the_smallest_aircraft(letters: str, capfd: pytest.CaptureFi
         assert way["cost"]["peak_bytes"] > 5e7
     runs = {letter: way["cost"]["modal_runs"] for letter, way in ways.items()}
     assert runs["a"] % 6 == 1  # six for each Jacobian and its point, and the last point
-    assert min(runs[letter] for letter in letters if letter != "e") >= 7  # one Jacobian and its end
+    others = min(runs[letter] for letter in letters if letter != "e")
+    assert others >= 7  # one Jacobian and its end
     # Young's moduli need no run of their own: strain energies, or matrices taken once.
-    assert runs["e"] + ways["e"]["cost"]["matrix_runs"] < runs["c"]
+    assert runs["e"] + ways["e"]["cost"]["matrix_runs"] < others
 
 
 def test_sizes_may_name_their_ways() -> None:
