@@ -29,6 +29,7 @@ from modetune.core.errors import CampaignError, StoreDamaged
 from modetune.core.modes import Floats, Integers, mode_name
 from modetune.core.monitoring.series import Series
 from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.storage.files import storage_errors
 from modetune.core.storage.sealed_file import RecordFile
 from modetune.core.updating.verdict import TrustVerdict
 
@@ -185,7 +186,9 @@ def read_history(folder: Path) -> History:
     found: dict[str, PastRun] = {}
     problems: list[str] = []
     try:
-        files = sorted((folder / FOLDER).glob("*.h5"))
+        files = sorted(file for file in (folder / FOLDER).iterdir() if file.suffix == ".h5")
+    except FileNotFoundError:
+        return History()
     except OSError as error:
         return History((), (f"{folder / FOLDER} cannot be read: {error.strerror}",))
     for file in files:
@@ -201,8 +204,9 @@ def read_history(folder: Path) -> History:
 def add_past_run(folder: Path, run: PastRun) -> Path:
     """Write a run into the history of a run folder. Raises StorageUnavailable."""
     file = folder / FOLDER / f"{run.stem}.h5"
-    if not file.exists():
-        PAST_RUN.write(file, run)
+    with storage_errors(file):
+        if not file.exists():
+            PAST_RUN.write(file, run)
     return file
 
 

@@ -25,7 +25,7 @@ from modetune.core.monitoring.past_runs import (
     past_run,
     read_history,
 )
-from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.storage.campaign_record import CAMPAIGN, CampaignRecord
 from modetune.core.storage.files import storage_errors
 from modetune.flows.report.report_file import PAGE
 
@@ -63,19 +63,19 @@ class RunHistory:
 def kept_folder(folder: Path, run: PastRun) -> Path | None:
     """Return the folder with the record of a past run; None where it is no longer kept."""
     place = folder / FOLDER / run.stem
-    return place if (place / "campaign.h5").is_file() else None
+    return place if (place / CAMPAIGN.file).is_file() else None
 
 
 def _keep_files(folder: Path, run: PastRun, page: Path | None, keep: int) -> None:
     """Put record, report and deck of the newest run into a folder of their own."""
     place = folder / FOLDER / run.stem
-    if not keep or place.exists():
-        return
     part = place.with_name(f".{run.stem}.part")
     with storage_errors(place):
+        if not keep or place.exists():
+            return
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
-        for file in filter(None, (folder / "campaign.h5", page)):
+        for file in filter(None, (folder / CAMPAIGN.file, page)):
             if file.is_file():
                 _link(file, part / file.name)
         if (folder / "updated").is_dir():

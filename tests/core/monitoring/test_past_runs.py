@@ -90,7 +90,9 @@ def test_a_file_is_never_rewritten(tmp_path: Path) -> None:
 def test_a_folder_without_runs_has_an_empty_history(tmp_path: Path) -> None:
     assert read_history(tmp_path / "nowhere") == History()
     (tmp_path / FOLDER).write_text("a file in the way")
-    assert read_history(tmp_path) == History()
+    history = read_history(tmp_path)
+    assert (history.runs, len(history.problems)) == ((), 1)
+    assert history.problems[0].endswith("history cannot be read: Not a directory")
 
 
 def _cut(file: Path) -> None:

@@ -312,14 +312,18 @@ def test_broken_and_foreign_files_stop_no_update(copied: Structure) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_cannot_be_written_stops_no_update_and_can_be_read(
-    copied: Structure,
+@pytest.mark.parametrize("mode", [0o500, 0o000])
+def test_a_folder_that_cannot_be_written_or_read_stops_no_update(
+    copied: Structure, mode: int
 ) -> None:
     folder = copied.runs / FOLDER
-    folder.chmod(0o500)
+    folder.chmod(mode)
     try:
         assert copied.night(5, k1=0.85).returncode == 0
         assert "was not written" in (copied.runs / "campaign.log").read_text()
+        shown = copied.run("history", "campaign.yaml")
+        assert shown.returncode == (0 if mode else 2)
+        assert mode or "cannot be read: Permission denied" in shown.stderr
     finally:
         folder.chmod(0o700)
 
