@@ -1,0 +1,788 @@
+"""Whether a structure changed: nights compared with all before them, whatever their scatter.
+
+**A change in time.** The values of night k are v_k = reference + slopes^T x_k + change_k + noise_k,
+with x_k the environment and a noise whose covariance is that of the test, widened to what the
+nights show, and correlated in time (night_noise.py). From a possible start to tonight the change is
+a step over 1 or 2 nights (the chart of Shewhart 1931) or a ramp over 8, 32, 128, ... nights (a
+drift). For each start the change is fitted together with reference and slopes to all nights so
+far, and divided by its error. That is the generalised likelihood ratio of Willsky and Jones (1976);
+over all starts it is the two-sided CUSUM of Page (1954) for a change of unknown size, and few
+starts lose little of it (Lai 1995). What 30 nights leave open about reference and slopes is part of
+the error, which a CUSUM or an EWMA with given parameters takes as zero (Jensen et al. 2006).
+
+**Directions.** Values are whitened by A, the scatter of nights: inverse Wishart around s^2 C, with
+C the stated covariance; s and how closely A follows C come from the learning nights' marginal
+likelihood. In these units, tests per window are
+
+    parameter j alone changed:   t = a_j^T d / error,   a_j = A^-1/2 e_j / |A^-1/2 e_j|,
+    anything changed:            T^2 = d^T d / error^2   (Hotelling 1947),
+
+d the change. The first is the sharpest test of a change in one parameter while the others vary
+with it by noise alone. Each direction has its own scatter, by Student's t.
+
+**Correlation in time.** Probabilities are means over the laws of night_noise.py, weighed by the
+restricted likelihood of the nights so far. Either all directions share a law, or the direction has
+its own: both are weighed by their marginal likelihood, the former alone where the evidence for it
+is substantial.
+
+**Limits.** The probability per night of any false alarm, `false_alarms`, is divided by the number
+of structures and windows; a tenth goes to T^2, the rest evenly to the parameters (Bonferroni).
+
+**Two nights.** Real tests have wild values now and then. So an alarm needs two nights that agree; a
+night that the next one does not confirm is left out from then on. A change by ten errors is
+reported at once: a wild value of that size has a probability of at most 1 % for any noise
+(Chebyshev).
+
+**Which parameters.** A change of one parameter also moves the tests of those that vary with it. So
+the report names the parameter of the sharpest test, and those whose own change, whatever the
+others do, exceeds the limit by its error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import fdtrc, logsumexp, multigammaln, ndtri, stdtr
+
+from modetune.core.brief import brief
+from modetune.core.errors import CampaignError
+from modetune.core.modes import Floats, Integers
+from modetune.core.monitoring.environment import Environment, choose_quantities, fit_environment
+from modetune.core.monitoring.night_noise import (
+    Contrast,
+    NoiseLaw,
+    Whitened,
+    fit_changes,
+    night_positions,
+    noise_laws,
+    whiten_nights,
+)
+from modetune.core.monitoring.series import Series
+
+State = Literal["learning", "steady", "changed", "unknown"]
+
+#: A change of that many errors needs no second night, nor more than two runs.
+AT_ONCE = 10.0
+#: Fewer nights do not show their own scatter: the stated repeatability alone counts.
+HANDFUL = 6
+#: Nights of the windows: steps, and ramps. A ramp of half or twice the true length keeps more than
+#: 0.85 of the evidence in white noise.
+STEPS, RAMPS = (1, 2), (8, 32, 128, 512, 2048)
+#: Part of false alarms that T^2 may have; the parameters have the rest.
+JOINT = 0.1
+#: Probability below which one night confirms another, and an old change is still there.
+CONFIRMED = 0.01
+#: Least ratio of the changes of two nights that show the same one, along their mean. A night
+#: without a change has none of it on average, so that half is as far from either.
+ALIKE = 0.5
+#: Directions with less of the scatter than this are exact combinations of parameters.
+EXACT = 1e-8
+#: Bayes factor that is substantial evidence (Jeffreys 1961; Kass and Raftery 1995).
+SUBSTANTIAL = 3.0
+#: A law of noise is left out where it is less likely than the best by this.
+NEGLIGIBLE = 1e-6
+#: Number of nights, in addition to the learning nights, that are looked back on.
+MEMORY = 500
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """The change of one parameter, the environment's part removed.
+
+    since_reference: the last run's value less that of the learning runs; since_last: less that of
+    the run before; both relative to the deck. Those in errors are divided by the error of
+    repeatability of the last run. step, slow: which detector found a change in this parameter.
+    first_alarm: index of the run, in the series.
+    """
+
+    name: str
+    since_reference: float
+    since_last: float
+    since_reference_in_errors: float
+    since_last_in_errors: float
+    step: bool = False
+    slow: bool = False
+    first_alarm: int | None = None
+
+    @property
+    def changed(self) -> bool:
+        """Whether a detector found a change."""
+        return self.step or self.slow
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Drift:
+    """What became of a structure.
+
+    joint: (n_runs,), the evidence of a change as a standard normal deviate, all tests and windows
+    and their number in one; NaN where a run has no result or is still learned from. joint_limit:
+    beyond it a run is unusual, and with the next one an alarm. changed_runs: (n_runs,), whether a
+    change was reported at the time or before. lag_correlation: of successive nights, with its
+    error. scatter: that of nights over that of repeatability. left_out: runs with wild values.
+    environment: None where too few runs have a result. notes: what a reader should know besides.
+    """
+
+    state: State
+    sentence: str
+    changes: tuple[ParameterChange, ...]
+    joint: Floats
+    joint_limit: float
+    changed_runs: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    lag_correlation: float
+    lag_correlation_error: float
+    scatter: float
+    environment: Environment | None
+    left_out: tuple[int, ...]
+    notes: tuple[str, ...]
+
+    __repr__ = brief
+
+
+def find_drift(
+    series: Series,
+    learning: int = 30,
+    reference: int = 0,
+    structures: int = 1,
+    false_alarms: float = 1e-3,
+) -> Drift:
+    """Return whether the parameters changed since the learning runs, and which.
+
+    learning: number of runs with a result that are learned from. reference: index of the first of
+    them; earlier runs are ignored, such as those before a repair. structures: number of structures
+    that are watched alike. false_alarms: per run, of all structures together.
+    Raises CampaignError where these make no sense.
+    """
+    problems = []
+    if learning < HANDFUL:
+        problems.append(f"learning {learning}: at least {HANDFUL} runs are needed to learn from")
+    if not 0 <= reference < max(series.times.size, 1):
+        problems.append(f"reference {reference}: the series has {series.times.size} runs")
+    if structures < 1:
+        problems.append(f"structures {structures}: at least 1 is watched")
+    if not 0.0 < false_alarms < 0.5:
+        problems.append(f"false_alarms {false_alarms}: between 0 and 0.5 per run")
+    if problems:
+        raise CampaignError(problems)
+    return _Watch(series, learning, reference, false_alarms / structures).drift()
+
+
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """Probabilities of what the nights show if nothing changed, (n_windows, N, tests), infinite
+    for windows that a night does not have. Tests are the parameters, then T^2; weights: (tests,),
+    of the false alarms; counts: (N,), of the windows. change: (n_windows, N, p), of parameters in
+    stated errors; own: (n_windows, N, p), over its error whatever the others do; white:
+    (n_windows, N, r), the change in units where the scatter of nights is 1 in all directions."""
+
+    rows: Integers
+    nights: Integers
+    probabilities: Floats
+    change: Floats
+    own: Floats
+    white: Floats
+    weights: Floats
+    counts: Floats
+    lag_correlation: tuple[float, float]
+    scatter: float
+
+    def adjusted(self, windows: slice) -> Floats:
+        """The probability of each night and test, times the number of tests, (N, tests)."""
+        least = self.probabilities[windows].min(axis=0)
+        return np.asarray(least * self.counts[:, None] / self.weights)
+
+    def window(self, night: int, windows: slice) -> int:
+        """Return which window shows the change most clearly."""
+        least = (self.probabilities[:, night] / self.weights).min(axis=1)
+        places = np.arange(least.size)[windows]
+        return int(places[np.argmin(least[places])])
+
+    def parameters(self, night: int, windows: slice, limit: float) -> tuple[int, ...]:
+        """Which parameters changed, of those that are tested."""
+        window, p = self.window(night, windows), self.change.shape[2]
+        own = np.abs(self.own[window, night])
+        changed = own > -ndtri(limit / (2.0 * p * self.counts[night]))
+        changed[int(np.argmin(self.probabilities[window, night, :p]))] = True
+        return tuple(np.flatnonzero(changed).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class _Alarm:
+    """A change found at a run; start: the first run that has it. parameters: indices of those that
+    changed, among the watched. white: (r,), the change as in the evidence; empty where only the
+    stated errors were compared."""
+
+    run: int
+    start: int
+    parameters: tuple[int, ...]
+    slow: bool
+    white: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Nights:
+    """Runs as statistics see them: rows in the series, positions in time (n,), values (n, r) in
+    units of the stated errors, design (n, m), sizes of each night's noise (n,), what it has beyond
+    the usual (n, r, r), and the way to parameters and back, root (p, r) and inverse (r, p)."""
+
+    rows: Integers
+    positions: Floats
+    values: Floats
+    design: Floats
+    sizes: Floats
+    extra: Floats
+    root: Floats
+    inverse: Floats
+
+
+class _Watch:
+    """One structure under watch: its runs, which of them count, and what they show."""
+
+    def __init__(self, series: Series, learning: int, reference: int, limit: float) -> None:
+        self.series, self.learning, self.limit = series, learning, limit
+        runs = np.flatnonzero(series.complete)
+        self.runs = runs[runs >= reference]
+        self.left_out: list[int] = []
+        self.notes: list[str] = []
+        variances = np.diagonal(series.covariances, axis1=1, axis2=2)[self.runs]
+        self.sizes = np.sqrt(np.median(variances, axis=0)) if self.runs.size else np.zeros(0)
+        self.watched = np.flatnonzero(self.sizes > 0.0)
+        if self.runs.size and self.watched.size < len(series.names):
+            names = [name for name, size in zip(series.names, self.sizes, strict=True) if not size]
+            self.notes.append(f"the tests give no error of {', '.join(names)}; not watched")
+
+    def drift(self) -> Drift:
+        """Look at all runs in turn."""
+        n = self.series.times.size
+        self.joint = np.full(n, np.nan)
+        self.unconfirmed: _Alarm | None = None
+        self.evidence: _Evidence | None = None
+        changed = np.zeros(n, dtype=bool)
+        while (alarm := self._first_alarm()) is not None:
+            back = self._return_of(alarm)
+            changed[alarm.run : back] = True
+            if back is None:
+                break
+            gone = (self.runs >= alarm.start) & (self.runs < back)
+            # The first run that is as before came just before the second.
+            self.runs = np.delete(self.runs, np.flatnonzero(gone)[:-1])
+            self.notes.append(f"a change since run {alarm.start + 1} was gone by run {back + 1}")
+        learned = self._counted()[: self.learning]
+        if alarm is not None:
+            learned = learned[learned < alarm.start]
+        elif 1 < learned.size == self._counted().size:
+            learned = learned[:-1]  # the last run is compared with those before it
+        environment = self._environment(learned) if learned.size else None
+        changes = self._changes(environment)
+        state, sentence = self._state(alarm, changes)
+        if alarm is not None:
+            changes = _with_alarm(changes, alarm, self.watched)
+            sentence = _changed_sentence(changes)
+        if environment is not None:
+            self.notes.extend(environment.notes)
+            if self.runs.size and self.runs[-1] == n - 1:
+                self.notes.extend(environment.extrapolated(self.series.environment[-1]))
+        lag = self.evidence.lag_correlation if self.evidence else (np.nan, np.nan)
+        scatter = self.evidence.scatter if self.evidence else np.nan
+        return Drift(
+            state,
+            sentence,
+            changes,
+            self.joint,
+            float(-ndtri(self.limit)),
+            changed,
+            *lag,
+            scatter,
+            environment,
+            tuple(self.left_out),
+            tuple(self.notes),
+        )
+
+    def _counted(self) -> Integers:
+        return self.runs[~np.isin(self.runs, self.left_out)]
+
+    def _state(
+        self, alarm: _Alarm | None, changes: tuple[ParameterChange, ...]
+    ) -> tuple[State, str]:
+        if not self.runs.size or self.runs[-1] < self.series.times.size - 1:
+            return "unknown", "Unknown: the last run has no result"
+        if not self.watched.size:
+            return "unknown", "Unknown: the tests give no error of any parameter"
+        if alarm is not None:
+            return "changed", ""
+        if self.unconfirmed is not None:
+            found = _changed_sentence(_with_alarm(changes, self.unconfirmed, self.watched))
+            return "unknown", f"Unconfirmed, in the last run alone: {found.partition(': ')[2]}"
+        if self._counted().size <= self.learning:
+            count = self._counted().size
+            how = "compared by the stated repeatability only" if count < HANDFUL else "no change"
+            return "learning", f"Learning: {count} of {self.learning} runs, {how}"
+        return "steady", "Steady"
+
+    # ---- the runs in turn ----
+
+    def _first_alarm(self) -> _Alarm | None:
+        """The first change: by stated repeatability, while learning, or after it."""
+        if not self.watched.size:
+            return None
+        early = self._early_alarm()
+        if early is not None:
+            return early
+        alarm = None
+        if self.runs.size > HANDFUL:
+            first = max(HANDFUL, 3 * (2 + len(self.series.quantities)))
+            alarm = self._scan(first, self.learning, learning=True)
+        if alarm is None and self._counted().size > self.learning:
+            alarm = self._scan(self.learning, None, learning=False)
+        return alarm
+
+    def _early_alarm(self) -> _Alarm | None:
+        """A step by ten errors within the first handful of runs, as the learning runs show it.
+
+        Errors are the stated ones, or the scatter about step and environment where that is larger.
+        Two runs leave no room for the environment: the whole difference counts.
+        """
+        runs = self.runs[: self.learning]
+        values = self.series.values[np.ix_(runs, self.watched)] / self.sizes[self.watched]
+        environment = self.series.environment[runs]
+        for start in range(1, min(runs.size, HANDFUL)):
+            design = np.column_stack([np.ones(runs.size), np.arange(runs.size) >= start])
+            away = environment - environment.mean(axis=0)
+            for column in away[:, np.isfinite(away).all(axis=0)].T:
+                wider = np.column_stack([design, column])
+                if np.linalg.matrix_rank(wider) == wider.shape[1]:
+                    design = wider
+            degrees = runs.size - design.shape[1]
+            step, *_ = np.linalg.lstsq(design, values, rcond=None)
+            left = values - design @ step
+            scatter = np.sqrt(np.sum(left**2, axis=0) / degrees) if degrees else np.ones(1)
+            # Two runs differ by sqrt(2) errors by noise; what the environment may explain adds.
+            spread = np.sqrt(max(np.linalg.pinv(design.T @ design)[1, 1] / 2.0, 1.0))
+            large = np.abs(step[1]) >= AT_ONCE * np.maximum(scatter, 1.0) * spread
+            if large.any():
+                places = tuple(np.flatnonzero(large).tolist())
+                return _Alarm(int(runs[start]), int(runs[start]), places, False, np.zeros(0))
+        return None
+
+    def _scan(self, first: int, last: int | None, learning: bool) -> _Alarm | None:
+        """The first change of the runs from place first to last among those that count."""
+        place = first
+        found = self._weigh(self._counted()[:last], first, learning)
+        while place < found.rows.size:
+            night = place - first
+            run = int(found.rows[place])
+            single = found.adjusted(slice(0, 1))[night]
+            pair = found.adjusted(slice(1, 2))[night]
+            slow = found.adjusted(slice(2, None)) if not learning else None
+            least = min(single.min(), pair.min(), slow[night].min() if slow is not None else np.inf)
+            if not learning:
+                self.joint[run] = -ndtri(min(max(least, 1e-300), 1.0 - 1e-16))
+                self.evidence = found
+            tests = np.flatnonzero(pair < self.limit)
+            agree = tests.size and night and self._confirms(found, night - 1, found, night, tests)
+            if agree and not (learning and not self._large(found, 1, night)):
+                places = found.parameters(night, slice(1, 2), self.limit)
+                before = int(found.rows[place - 1])
+                return _Alarm(run, before, places, False, found.white[1, night])
+            tests = np.flatnonzero(single < self.limit)
+            if tests.size and not (learning and not self._large(found, 0, night)):
+                places = found.parameters(night, slice(0, 1), self.limit)
+                alarm = _Alarm(run, run, places, False, found.white[0, night])
+                if self._large(found, 0, night):
+                    return alarm
+                if place + 1 == found.rows.size:
+                    self.unconfirmed = alarm
+                    return None
+                kept = np.delete(found.rows, place)
+                other = self._weigh(kept, first, learning)
+                if self._confirms(found, night, other, night, tests):
+                    return replace(alarm, run=int(found.rows[place + 1]))
+                self.left_out.append(run)
+                found = other
+                continue
+            if slow is not None and night:
+                before = slow[night - 1] < CONFIRMED
+                tests = np.flatnonzero((slow[night] < self.limit) & before)
+                if tests.size:
+                    start = int(found.rows[first])
+                    places = found.parameters(night, slice(2, None), self.limit)
+                    white = found.white[found.window(night, slice(2, None)), night]
+                    return _Alarm(run, start, places, True, white)
+            place += 1
+        return None
+
+    def _large(self, found: _Evidence, window: int, night: int) -> bool:
+        """Whether a change is too large for a wild value, or for what few nights show."""
+        return bool(
+            (np.abs(found.change[window, night]) >= AT_ONCE * max(1.0, found.scatter)).any()
+        )
+
+    def _confirms(
+        self, found: _Evidence, night: int, other: _Evidence, after: int, tests: Integers
+    ) -> bool:
+        """Whether the run after a night shows the same change: in one of the tests, and in size."""
+        likely = (other.probabilities[0, after, tests] < CONFIRMED).any()
+        one, two = found.white[0, night], other.white[0, after]
+        along = np.array([one, two]) @ (one + two)
+        return bool(likely and along.min() >= ALIKE * along.max())
+
+    def _return_of(self, alarm: _Alarm) -> int | None:
+        """The second of the first two runs after an alarm that have less than half of the change;
+        None where the change is still there."""
+        counted = self._counted()
+        before, after = counted[counted < alarm.start], counted[counted > alarm.run]
+        if before.size < HANDFUL or not alarm.white.size:
+            return None
+        for place in range(1, after.size):
+            rows = np.concatenate([before, after[place - 1 : place + 1]])
+            white = self._weigh(rows, before.size, True).white[0]
+            if (white @ alarm.white < ALIKE * (alarm.white @ alarm.white)).all():
+                return int(after[place])
+        return None
+
+    # ---- statistics ----
+
+    def _environment(self, learned: Integers) -> Environment:
+        columns, notes = choose_quantities(self.series, learned)
+        known = np.isfinite(self.series.environment[learned][:, list(columns)]).all(axis=1)
+        learned = learned[known]
+        lag = self.evidence.lag_correlation[0] if self.evidence else 0.0
+        law = NoiseLaw(lag, 1.0, 1.0)
+        whitening = law.whitening(night_positions(self.series.times[learned]))
+        found = fit_environment(self.series, learned, columns, whitening)
+        return replace(found, notes=notes)
+
+    def _changes(self, environment: Environment | None) -> tuple[ParameterChange, ...]:
+        """The change of each parameter of the last run that has a result."""
+        names, runs = self.series.names, self.runs[-2:]
+        unknown = np.full(len(names), np.nan)
+        since = last = errors = unknown
+        if environment is not None:
+            expected, _ = environment.predict(self.series.environment[runs])
+            away = self.series.values[runs] - expected
+            since, last = away[-1], away[-1] - away[0] if runs.size > 1 else unknown
+            variances = np.diag(self.series.covariances[runs[-1]])
+            errors = np.sqrt(np.where(variances > 0.0, variances, np.nan))
+        rows = zip(names, since, last, since / errors, last / errors, strict=True)
+        return tuple(
+            ParameterChange(name, float(a), float(b), float(c), float(d))
+            for name, a, b, c, d in rows
+        )
+
+    def _weigh(self, rows: Integers, first: int, learning: bool) -> _Evidence:
+        """Evidence at each of the runs from place first on, given those before it."""
+        if rows.size > first + MEMORY:
+            rows = np.concatenate([rows[:first], rows[-MEMORY:]])
+        series, watched = self.series, self.watched
+        base = rows[:first]
+        columns, _ = choose_quantities(series, base)
+        known = np.isfinite(series.environment[base][:, list(columns)]).all(axis=1)
+        law = NoiseLaw(0.0, 1.0, 1.0)
+        environment = fit_environment(series, base[known], columns, law.whitening(base[known]))
+        found = series.environment[rows]
+        design = environment.design(found)
+        design[:, 1:] /= np.where(
+            environment.highest > environment.lowest, design[:first, 1:].std(axis=0), 1.0
+        )
+        scale = self.sizes[watched]
+        grid = np.ix_(watched, watched)
+        covariances = np.array([c[grid] for c in series.covariances[rows]])
+        covariances = covariances / np.outer(scale, scale)
+        doubt = np.array([c[grid] for c in environment.doubt(found)]) / np.outer(scale, scale)
+        values = series.values[np.ix_(rows, watched)] / scale
+        values = values - values[:first].mean(axis=0)
+        usual = np.median(np.trace(covariances[:first], axis1=1, axis2=2))
+        good = np.trace(covariances[:first], axis1=1, axis2=2) <= 2.0 * usual
+        sizes, vectors = np.linalg.eigh(covariances[:first][good].mean(axis=0))
+        kept = sizes > EXACT * sizes[-1]
+        root = vectors[:, kept] * np.sqrt(sizes[kept])
+        inverse = (vectors[:, kept] / np.sqrt(sizes[kept])).T
+        extra = inverse @ (covariances + doubt) @ inverse.T - np.eye(len(inverse))
+        extra = _positive(extra)
+        weights = np.sqrt(1.0 + np.trace(extra, axis1=1, axis2=2) / len(inverse))
+        nights = _Nights(
+            rows,
+            night_positions(series.times[rows]),
+            values @ inverse.T,
+            design,
+            weights,
+            extra,
+            root,
+            inverse,
+        )
+        return _evidence(nights, first, learning)
+
+
+def _evidence(nights: _Nights, first: int, learning: bool) -> _Evidence:
+    """Evidence at each night from place first on."""
+    n, r = nights.values.shape
+    laws = noise_laws()
+    looks = np.arange(first - 1, n)
+    whitened = [
+        whiten_nights(law, nights.positions, nights.sizes, nights.values, nights.design, looks)
+        for law in laws
+    ]
+    learned = _learned_scatter(laws, whitened, first - nights.design.shape[1], learning)
+    values, axes = np.linalg.eigh(learned.covariance)
+    to_axes = (axes / np.sqrt(values)).T
+    back = nights.root @ (axes * np.sqrt(values))
+    alone = to_axes @ nights.inverse
+    lengths = np.linalg.norm(alone, axis=0)
+    p = lengths.size
+    directions = np.hstack([alone / np.where(lengths > 0.0, lengths, 1.0), np.eye(r)])
+    turned = to_axes @ nights.extra @ to_axes.T
+    noise = 1.0 + np.einsum("ip,kij,jp->kp", directions, turned, directions)
+    noise = noise / nights.sizes[:, None] ** 2
+    law_places = _plausible(laws, whitened, to_axes, looks)
+    looks = looks[1:]
+    watched = looks + 1 - first
+    windows = [(length, False) for length in STEPS]
+    if not learning:
+        shorter = (0, *RAMPS)
+        windows += [
+            (length, True)
+            for length, before in zip(RAMPS, shorter, strict=False)
+            if before < watched.max(initial=0)
+        ]
+    probabilities = np.full((len(windows), looks.size, p + 1), np.inf)
+    change, own = np.zeros((2, len(windows), looks.size, p))
+    white = np.zeros((len(windows), looks.size, r))
+    counts = np.zeros(looks.size)
+    lag_correlation = (np.nan, np.nan)
+    for window, (length, ramp) in enumerate(windows):
+        starts = np.maximum(looks + 1 - length, first)
+        # A longer ramp that is cut to the same nights is the same test.
+        there = watched > (windows[window - 1][0] if ramp and length > RAMPS[0] else 0)
+        counts += there
+        fits = [
+            _fit_law(
+                whitened[place],
+                fit_changes(_later(whitened[place]), starts, looks, ramp),
+                to_axes,
+                directions,
+                noise,
+                learned,
+                looks,
+            )
+            for place in law_places
+        ]
+        priors = np.log([laws[place].prior for place in law_places])
+        found, weights = _averaged(fits, priors, p)
+        found[:, :p][:, lengths == 0.0] = np.inf
+        probabilities[window] = np.where(there[:, None], found, np.inf)
+        changes = np.array([fit.change for fit in fits])
+        mean = np.einsum("lk,lkr->kr", weights, changes)
+        change[window], white[window] = mean @ back.T, mean @ axes.T
+        errors = np.sqrt(
+            np.einsum("lk,lkr->kr", weights, [fit.variance for fit in fits]) @ back.T**2
+        )
+        own[window] = change[window] / np.where(errors > 0.0, errors, np.inf)
+        if window == 0 and looks.size:
+            lags = np.array([laws[place].lag_correlation for place in law_places])
+            average = weights[:, -1] @ lags
+            error = np.sqrt(weights[:, -1] @ np.square(lags - average))
+            lag_correlation = (float(average), float(error))
+    share = np.append(np.full(p, (1.0 - JOINT) / p), JOINT)
+    scatter = float(np.sqrt(np.mean(np.diag(learned.covariance))))
+    return _Evidence(
+        nights.rows,
+        looks,
+        probabilities,
+        change,
+        own,
+        white,
+        share,
+        counts,
+        lag_correlation,
+        scatter,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Scatter:
+    """Scatter of the learning nights in units of the stated errors: covariance (r, r), how many
+    degrees of freedom it is known by, and how much in-sample scatter along a direction that was
+    chosen by it is too small."""
+
+    covariance: Floats
+    freedom: float
+    widened: float
+
+
+def _learned_scatter(
+    laws: tuple[NoiseLaw, ...], whitened: list[Whitened], degrees: int, learning: bool
+) -> _Scatter:
+    """Return the mean of the posterior over laws, and over how closely the scatter follows the
+    stated covariance: the prior is worth nu_0 nights."""
+    squares = np.array([white.squares[0] for white in whitened])
+    r = squares.shape[-1]
+    base = np.log([law.prior for law in laws]) + r * np.array([w.penalty[0] for w in whitened])
+    variance = np.trace(squares, axis1=1, axis2=2) / (degrees * r)
+    logs, covariances, totals = [], [], []
+    # From hardly any trust in the stated covariance to a known multiple of it.
+    for nu in [1e4] if learning or r == 1 else [r + 3, 2 * r + 6, 4 * r + 12, 8 * r + 24, 1e4]:
+        prior = (nu - r - 1) * variance
+        both = squares + prior[:, None, None] * np.eye(r)
+        logs.append(
+            base
+            + 0.5 * nu * r * np.log(prior)
+            - 0.5 * (nu + degrees) * np.linalg.slogdet(both)[1]
+            + multigammaln(0.5 * (nu + degrees), r)
+            - multigammaln(0.5 * nu, r)
+        )
+        covariances.append(both / (nu + degrees - r - 1))
+        totals.append(nu + degrees)
+    weights = np.exp(np.array(logs) - logsumexp(logs))
+    covariance = np.einsum("al,alij->ij", weights, np.array(covariances))
+    each, total = weights.sum(axis=1), np.array(totals)
+    return _Scatter(
+        covariance,
+        float(1.0 / (each @ (1.0 / (total - r + 1)))),
+        float(each @ (total / (total - r + 1))),
+    )
+
+
+def _later(white: Whitened) -> Whitened:
+    """Without the look at the learning nights."""
+    return replace(
+        white,
+        information=white.information[1:],
+        penalty=white.penalty[1:],
+        squares=white.squares[1:],
+    )
+
+
+def _plausible(
+    laws: tuple[NoiseLaw, ...], whitened: list[Whitened], to_axes: Floats, looks: Integers
+) -> list[int]:
+    """Return the laws that weigh anything at any look, in all axes together or in one."""
+    squares = np.array([np.einsum("ai,kij,aj->ka", to_axes, w.squares, to_axes) for w in whitened])
+    degrees = (looks + 1 - whitened[0].design.shape[1])[:, None]
+    tiny = np.finfo(float).tiny
+    logs = np.array([w.penalty for w in whitened])[:, :, None] - 0.5 * degrees * np.log(
+        np.maximum(squares, tiny)
+    )
+    logs = np.concatenate([logs, logs.sum(axis=2, keepdims=True)], axis=2)
+    # A change that is fitted may move the likelihood of a law: room for a factor of 100.
+    near = (logs > logs.max(axis=0) + np.log(NEGLIGIBLE)).any(axis=(1, 2))
+    return [int(place) for place in np.flatnonzero(near)]
+
+
+@dataclass(frozen=True, slots=True)
+class _LawFit:
+    """What one law makes of each night: logs of the marginal likelihood of each direction (N, t),
+    and of those across it (N, t); probabilities of the directions (N, t) and of T^2 (N,); the
+    change along the axes (N, r) with its variance."""
+
+    own: Floats
+    rest: Floats
+    single: Floats
+    joint: Floats
+    change: Floats
+    variance: Floats
+
+
+def _fit_law(
+    white: Whitened,
+    contrast: Contrast,
+    to_axes: Floats,
+    directions: Floats,
+    noise: Floats,
+    learned: _Scatter,
+    looks: Integers,
+) -> _LawFit:
+    white = _later(white)
+    r = len(to_axes)
+    degrees = looks + 1.0 - white.design.shape[1]  # of the residual without a change
+    g = contrast.information[:, None]
+    change = contrast.change @ to_axes.T
+    squares = to_axes @ white.squares @ to_axes.T
+    along = np.einsum("it,kij,jt->kt", directions, squares, directions)
+    across = np.maximum(np.trace(squares, axis1=1, axis2=2)[:, None] - along, 0.0)
+    turned = change @ directions
+    floor = np.finfo(float).tiny
+    left = np.maximum(along - g * turned**2, floor)
+    nu = (degrees - 1.0)[:, None]
+    penalty = white.penalty[:, None]
+    own = penalty - 0.5 * np.log(g) - 0.5 * nu * np.log(left)
+    rest = (r - 1) * (penalty - 0.5 * degrees[:, None] * np.log(np.maximum(across, floor)))
+    error = (contrast.noise @ noise) / g**2
+    size = np.sqrt(left / nu * learned.widened * error)
+    single = 2.0 * stdtr(nu, -np.abs(turned) / size)
+    total = np.maximum(
+        np.trace(squares, axis1=1, axis2=2)[:, None] - g * np.sum(change**2, axis=1, keepdims=True),
+        floor,
+    )
+    variance = (total / (nu * r)) * error[:, -r:]
+    freedom = 1.0 / (1.0 / learned.freedom + 1.0 / (nu[:, 0] * r))
+    joint = fdtrc(r, freedom, np.sum(change**2 / variance, axis=1) / r)
+    return _LawFit(own, rest if r > 1 else 0.0 * own, single, joint, change, variance)
+
+
+def _averaged(fits: list[_LawFit], priors: Floats, p: int) -> tuple[Floats, Floats]:
+    """Return probabilities (N, p + 1) of parameters and T^2, over the laws that all directions
+    share, and over those that the direction has alone; and the weights (laws, N) of the former."""
+    own = np.array([fit.own for fit in fits]) + priors[:, None, None]
+    rest = np.array([fit.rest for fit in fits])
+    single = np.array([fit.single for fit in fits])
+    shared, apart = _normalised(own + rest), _normalised(own)
+    alone = logsumexp(own, axis=0) + logsumexp(rest + priors[:, None, None], axis=0)
+    alike = _probability_shared(logsumexp(own + rest, axis=0) - alone)
+    if own.shape[2] == p + 1:  # one direction, which shares its law with none
+        alike = np.zeros_like(alike)
+    found = alike * np.sum(shared * single, axis=0) + (1.0 - alike) * np.sum(apart * single, axis=0)
+    r = own.shape[2] - p
+    sums = np.sum(own[:, :, p:] - priors[:, None, None], axis=2) + priors[:, None]
+    weights = _normalised(sums)
+    alike_all = _probability_shared(
+        logsumexp(sums, axis=0) - logsumexp(own[:, :, p:], axis=0).sum(axis=1)
+    )
+    joint = np.sum(weights * np.array([fit.joint for fit in fits]), axis=0)
+    # Where axes have laws of their own, the least of their probabilities, times their number.
+    least = np.minimum(r * np.min(np.sum(apart * single, axis=0)[:, p:], axis=1), 1.0)
+    both = alike_all * joint + (1.0 - alike_all) * least
+    return np.column_stack([found[:, :p], both]), weights
+
+
+def _probability_shared(evidence: Floats) -> Floats:
+    """The probability that directions share a law, given the log Bayes factor for it. It is 1 where
+    the evidence is substantial: averaging would leave a floor under all probabilities."""
+    probability = 1.0 / (1.0 + np.exp(np.clip(-evidence, -700.0, 700.0)))
+    return np.asarray(np.where(evidence > np.log(SUBSTANTIAL), 1.0, probability))
+
+
+def _normalised(logs: Floats) -> Floats:
+    return np.asarray(np.exp(logs - logsumexp(logs, axis=0)))
+
+
+def _positive(matrices: Floats) -> Floats:
+    """The positive part of symmetric matrices (n, r, r)."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
+
+
+def _with_alarm(
+    changes: tuple[ParameterChange, ...], alarm: _Alarm, watched: Integers
+) -> tuple[ParameterChange, ...]:
+    """Mark the parameters that changed."""
+    places = watched[list(alarm.parameters)]
+    return tuple(
+        replace(change, step=not alarm.slow, slow=alarm.slow, first_alarm=alarm.run)
+        if place in places
+        else change
+        for place, change in enumerate(changes)
+    )
+
+
+def _changed_sentence(changes: tuple[ParameterChange, ...]) -> str:
+    found = sorted(
+        (change for change in changes if change.changed),
+        key=lambda change: -abs(change.since_reference_in_errors),
+    )
+    texts = [
+        f"{change.name} {100.0 * change.since_reference:+.2g} % "
+        f"({abs(change.since_reference_in_errors):.2g} repeatability errors)"
+        for change in found
+    ]
+    return "Changed: " + ", ".join(texts)
