@@ -18,8 +18,11 @@ the motion of the constrained model and r that of its released freedoms relative
 
     u = r - T (K - s M)^-1 T^T (K_free - s M_free) r
 
-for a few patterns r (reactions of the modes, rigid motions of the group) join the others, and the
-change is a spring of any stiffness against r; the model has the constraint where it is infinite.
+for a few patterns r join the others, and the change is a spring of any stiffness k against r; the
+model has the constraint where it is infinite. Springs answer the forces f of the constraint with
+r = (k + S)^-1 f, S the stiffness of the rest at the released freedoms, so that patterns come from
+the first blocks of a Krylov space of S: reactions of the modes, rigid motions of the group, and S
+times these, several times.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_triangular
 
-from modetune.core.algebra.matrices import upper_product
+from modetune.core.algebra.matrices import MatrixResult, upper_product
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -136,11 +139,30 @@ class Released:
 
         inverse: (K - s M)^-1 of the constrained model, s the shift.
         """
-        here = self.matrices.at(theta)
-        own = self.patterns.toarray()
-        forces = upper_product(here.upper_stiffness, own)
-        forces -= shift * upper_product(here.upper_mass, own)
-        return np.asarray(own - self.tie @ inverse(np.asfortranarray(self.tie.T @ forces)))
+        here, own = self.matrices.at(theta), self.patterns.toarray()
+        return static_motion(here, self.tie, own, shift, inverse)
+
+
+def static_motion(
+    free: MatrixResult,
+    tie: sparse.csr_array,
+    own: Floats,
+    shift: float,
+    inverse: Callable[[Floats], Floats],
+) -> Floats:
+    """Return the static motion (n_free, n) of a released model with some of its freedoms' own.
+
+    own: (n_free, n), relative to the tie; inverse: (K - s M)^-1 of the constrained model.
+    """
+    forces = dynamic_forces(free, own, shift)
+    return np.asarray(own - tie @ inverse(np.asfortranarray(tie.T @ forces)))
+
+
+def dynamic_forces(matrices: MatrixResult, motion: Floats, shift: float) -> Floats:
+    """Return (K - s M) times a motion, (n, k)."""
+    forces = upper_product(matrices.upper_stiffness, motion)
+    forces -= shift * upper_product(matrices.upper_mass, motion)
+    return forces
 
 
 def attached_model(

@@ -146,7 +146,10 @@ def case_model(
             part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
         )  # fmt: skip
     modes = solved.eigenvalues, solved.shapes
-    freed = released_model(campaign, evaluator, state, parameters, theta, here, modes, places, rows)
+    freed = released_model(
+        campaign, evaluator, state, parameters, theta, here, modes, places, rows, solver.inverse,
+        shift,
+    )  # fmt: skip
     released, groups = freed or (None, ())
     loaded = attached_model(
         affine, model, basis, observer, solver.inverse, loads, released, (written, shift)

@@ -43,12 +43,15 @@ logger = logging.getLogger(__name__)
 AMPLITUDES, OF_ABSORBERS = 6, (2, 5)
 #: Amplitudes between these that are tried where the residual seems least.
 BETWEEN = 2
-#: Changes that are then refined: the best, and the best of each kind.
-REFINED, OF_KIND = 24, 2
+#: Changes that are then refined: the best, and the best of each kind. While the best of them leaves
+#: more than this ratio of chi-square to freedom, as many more, up to five times.
+REFINED, OF_KIND, EXPLAINED, TIMES = 24, 2, 1.5, 5
 #: Quantities of groups that are tried, each with a matrix job of its own at most.
 GROUPS = 20
 #: Quantities that others stand for: a density as a mass, a dimension as a thickness or a modulus.
 OTHERS = ("density", "dimension")
+#: Quantities with which a program may make other nodes, as of shells that become unequal.
+DIMENSIONS = ("thickness", "offset")
 #: Two changes with a smaller difference of the misfit cannot be told apart: 3 standard deviations.
 ALIKE = 9.0
 #: Probability above which a change is proposed.
@@ -118,14 +121,16 @@ def search_of(
     """Return the search at an evaluated point, with its changes and models. Raises as above."""
     groups, places = _groups(evaluator.used), places_of([state.case for state in evaluator.used])
     own = list(zip(evaluator.used, evaluation.parts, strict=True))
-    try:
-        cases = _models(campaign, evaluator, own, groups, places, tell)
-    except ModelError as error:
-        if not groups:
-            raise
-        logger.warning("no quantities of groups are tried: %s", error)
-        groups = ()
-        cases = _models(campaign, evaluator, own, groups, places, tell)
+    for tried in dict.fromkeys((groups, _of_materials(groups), ())):
+        try:
+            cases = _models(campaign, evaluator, own, tried, places, tell)
+        except ModelError as error:
+            if not tried:
+                raise
+            logger.warning("fewer quantities of groups are tried: %s", error)
+        else:
+            groups = tried
+            break
     found = changes_of(
         [item.case for item in cases],
         places,
@@ -135,6 +140,11 @@ def search_of(
         groups,
     )
     return ChangeSearch(campaign, cases, list(found), evaluation.theta)
+
+
+def _of_materials(groups: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Return quantities that leave the equations as they are, whatever their value."""
+    return tuple(item for item in groups if item.quantity not in DIMENSIONS)
 
 
 def _models(
@@ -249,12 +259,18 @@ class ChangeSearch:
             screened.append(self.screened(change))
         order = sorted(range(len(changes)), key=lambda n: screened[n][0])
         refined: dict[int, tuple[Floats, float, Floats]] = {}
-        for n in _chosen(changes, order):
-            tell(f"refined: {changes[n].label}")
-            found = self.refined(changes[n], screened[n][1])
-            if found is not None:
-                refined[n] = found
-        least = min([self.misfit, *(item[1] for item in refined.values())])
+        least, batch, left = self.misfit, _chosen(changes, order), list(order)
+        for _ in range(TIMES):
+            for n in batch:
+                tell(f"refined: {changes[n].label}")
+                found = self.refined(changes[n], screened[n][1])
+                if found is not None:
+                    refined[n] = found
+                    least = min(least, found[1])
+            left = [n for n in left if n not in batch]
+            if least < EXPLAINED * self.freedom:
+                break
+            batch = left[:REFINED]
         scale = max(1.0, least / max(self.freedom - 1, 1))
         none = log_evidence(self.misfit, self.slopes.T @ self.slopes, self.width, scale)
         logs = np.array([-0.5 * item[0] / scale for item in screened])
