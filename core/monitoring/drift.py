@@ -240,17 +240,22 @@ class _Watch:
     """One structure under watch: its runs, which of them count, and what they show."""
 
     def __init__(self, series: Series, learning: int, reference: int, limit: float) -> None:
-        self.series, self.learning, self.limit = series, learning, limit
-        runs = np.flatnonzero(series.complete)
-        self.runs = runs[runs >= reference]
+        self.names, self.learning, self.limit = series.names, learning, limit
         self.left_out: list[int] = []
         self.notes: list[str] = []
-        variances = np.diagonal(series.covariances, axis1=1, axis2=2)[self.runs]
-        self.sizes = np.sqrt(np.median(variances, axis=0)) if self.runs.size else np.zeros(0)
-        self.watched = np.flatnonzero(self.sizes > 0.0)
-        if self.runs.size and self.watched.size < len(series.names):
-            names = [name for name, size in zip(series.names, self.sizes, strict=True) if not size]
-            self.notes.append(f"the tests give no error of {', '.join(names)}; not watched")
+        variances = np.diagonal(series.covariances, axis1=1, axis2=2)
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(series.values) & np.isfinite(variances) & (variances > 0.0)
+        tested = known.any(axis=1)
+        self.watched = np.flatnonzero(2 * known.sum(axis=0) >= max(int(tested.sum()), 1))
+        others = [name for place, name in enumerate(series.names) if place not in self.watched]
+        if others and self.watched.size:
+            self.notes.append(f"most tests do not determine {', '.join(others)}; not watched")
+        self.series = series.of(self.watched) if self.watched.size else series
+        runs = np.flatnonzero(self.series.complete)
+        self.runs = runs[runs >= reference]
+        sizes = np.diagonal(self.series.covariances, axis1=1, axis2=2)[self.runs]
+        self.sizes = np.sqrt(np.median(sizes, axis=0)) if self.runs.size else np.ones(0)
 
     def drift(self) -> Drift:
         """Look at all runs in turn."""
@@ -305,10 +310,10 @@ class _Watch:
     def _state(
         self, alarm: _Alarm | None, changes: tuple[ParameterChange, ...]
     ) -> tuple[State, str]:
-        if not self.runs.size or self.runs[-1] < self.series.times.size - 1:
-            return "unknown", "Unknown: the last run has no result"
         if not self.watched.size:
-            return "unknown", "Unknown: the tests give no error of any parameter"
+            return "unknown", "Unknown: most tests do not determine any parameter"
+        if not self.runs.size or self.runs[-1] < self.series.times.size - 1:
+            return "unknown", "Unknown: the last run does not determine all parameters"
         if alarm is not None:
             return "changed", ""
         if self.unconfirmed is not None:
@@ -344,7 +349,7 @@ class _Watch:
         Two runs leave no room for the environment: the whole difference counts.
         """
         runs = self.runs[: self.learning]
-        values = self.series.values[np.ix_(runs, self.watched)] / self.sizes[self.watched]
+        values = self.series.values[runs] / self.sizes
         environment = self.series.environment[runs]
         for start in range(1, min(runs.size, HANDFUL)):
             design = np.column_stack([np.ones(runs.size), np.arange(runs.size) >= start])
@@ -455,26 +460,27 @@ class _Watch:
 
     def _changes(self, environment: Environment | None) -> tuple[ParameterChange, ...]:
         """The change of each parameter of the last run that has a result."""
-        names, runs = self.series.names, self.runs[-2:]
-        unknown = np.full(len(names), np.nan)
-        since = last = errors = unknown
+        runs = self.runs[-2:]
+        found = np.full((4, len(self.names)), np.nan)
         if environment is not None:
             expected, _ = environment.predict(self.series.environment[runs])
             away = self.series.values[runs] - expected
-            since, last = away[-1], away[-1] - away[0] if runs.size > 1 else unknown
-            variances = np.diag(self.series.covariances[runs[-1]])
-            errors = np.sqrt(np.where(variances > 0.0, variances, np.nan))
-        rows = zip(names, since, last, since / errors, last / errors, strict=True)
+            errors = np.sqrt(np.diag(self.series.covariances[runs[-1]]))
+            errors = np.where(errors > 0.0, errors, np.nan)
+            before = away[-1] - away[0] if runs.size > 1 else np.full(errors.size, np.nan)
+            found[:, self.watched] = away[-1], before, away[-1] / errors, before / errors
         return tuple(
-            ParameterChange(name, float(a), float(b), float(c), float(d))
-            for name, a, b, c, d in rows
+            ParameterChange(name, since, last, since_errors, last_errors)
+            for name, (since, last, since_errors, last_errors) in zip(
+                self.names, found.T.tolist(), strict=True
+            )
         )
 
     def _weigh(self, rows: Integers, first: int, learning: bool) -> _Evidence:
         """Evidence at each of the runs from place first on, given those before it."""
         if rows.size > first + MEMORY:
             rows = np.concatenate([rows[:first], rows[-MEMORY:]])
-        series, watched = self.series, self.watched
+        series = self.series
         base = rows[:first]
         columns, _ = choose_quantities(series, base)
         known = np.isfinite(series.environment[base][:, list(columns)]).all(axis=1)
@@ -485,12 +491,10 @@ class _Watch:
         design[:, 1:] /= np.where(
             environment.highest > environment.lowest, design[:first, 1:].std(axis=0), 1.0
         )
-        scale = self.sizes[watched]
-        grid = np.ix_(watched, watched)
-        covariances = np.array([c[grid] for c in series.covariances[rows]])
-        covariances = covariances / np.outer(scale, scale)
-        doubt = np.array([c[grid] for c in environment.doubt(found)]) / np.outer(scale, scale)
-        values = series.values[np.ix_(rows, watched)] / scale
+        units = np.outer(self.sizes, self.sizes)
+        covariances = series.covariances[rows] / units
+        doubt = environment.doubt(found) / units
+        values = series.values[rows] / self.sizes
         values = values - values[:first].mean(axis=0)
         usual = np.median(np.trace(covariances[:first], axis1=1, axis2=2))
         good = np.trace(covariances[:first], axis1=1, axis2=2) <= 2.0 * usual

@@ -40,13 +40,15 @@ BEYOND = 0.1
 class Environment:
     """The law of the environment.
 
-    names: of the q quantities that have slopes; columns: theirs in the series. reference: (p,),
+    parameters: names of the p parameters; names: of the q quantities that have slopes; columns:
+    theirs in the series. reference: (p,),
     values at the mean environment (q,). slopes: (q, p), per unit of the quantity; slope_errors:
     (q, p). lowest, highest: (q,), the learned range. covariance: (1 + q, 1 + q, p, p), of reference
     and slopes. scatter: s, the scatter of nights over that of repeatability, at least 1. notes: a
     sentence for each quantity that is not fitted.
     """
 
+    parameters: tuple[str, ...]
     names: tuple[str, ...]
     columns: tuple[int, ...]
     mean: Floats
@@ -169,6 +171,7 @@ def fit_environment(
     blocked = covariance.reshape(m, p, m, p).transpose(0, 2, 1, 3)
     errors = np.sqrt(np.diag(covariance)).reshape(m, p)
     return Environment(
+        series.names,
         tuple(series.quantities[column] for column in columns),
         columns,
         mean,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError
-from modetune.core.modes import Floats
+from modetune.core.modes import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -67,13 +67,23 @@ class Series:
         for place in np.flatnonzero(self.complete):
             covariance = self.covariances[place]
             variances = np.diag(covariance)
-            sizes = np.sqrt(np.outer(np.abs(variances), np.abs(variances)))
-            # Rounding of a product of two matrices of this size, with room for its condition.
-            slack = 1e-8 * p * sizes.max()
-            if (np.abs(covariance - covariance.T) > slack).any():
+            sizes = np.sqrt(np.abs(variances))
+            correlation = covariance / np.outer(*2 * (np.where(sizes > 0.0, sizes, 1.0),))
+            # Rounding of a product of matrices about 1, with room for their condition.
+            slack = 1e-8 * p
+            if (np.abs(correlation - correlation.T) > slack).any():
                 yield f"the covariance of run {place + 1} is not symmetric"
-            elif (variances < 0.0).any() or np.linalg.eigvalsh(covariance)[0] < -slack:
+            elif (variances < 0.0).any() or np.linalg.eigvalsh(correlation)[0] < -slack:
                 yield f"the covariance of run {place + 1} has a negative variance"
+
+    def of(self, places: Integers) -> Series:
+        """Return the series of some parameters."""
+        return replace(
+            self,
+            names=tuple(self.names[place] for place in places),
+            values=self.values[:, places],
+            covariances=self.covariances[:, places][:, :, places],
+        )
 
     @property
     def complete(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

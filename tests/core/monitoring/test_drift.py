@@ -206,8 +206,13 @@ def test_a_parameter_without_an_error_is_not_watched() -> None:
     covariances = series.covariances.copy()
     covariances[:, 1] = covariances[:, :, 1] = 0.0
     drift = find_drift(changed(replace(series, covariances=covariances), 2, 38, -0.2))
-    assert "the tests give no error of k_2; not watched" in drift.notes
+    assert drift.notes == ("most tests do not determine k_2; not watched",)
     assert names(drift) == ["k_3"]
+    # An update gives what nothing determines an infinite variance.
+    covariances[:, 1, 1] = np.inf
+    infinite = find_drift(changed(replace(series, covariances=covariances), 2, 38, -0.2))
+    assert infinite.sentence == drift.sentence
+    assert np.isnan(infinite.changes[1].since_reference)
 
 
 def test_one_parameter_is_enough() -> None:
@@ -227,7 +232,10 @@ def test_missing_results_and_equal_times_keep_their_place() -> None:
     assert np.isnan(drift.joint[40])
     values[-1] = np.nan
     gone = find_drift(replace(series, values=values))
-    assert (gone.state, gone.sentence) == ("unknown", "Unknown: the last run has no result")
+    assert (gone.state, gone.sentence) == (
+        "unknown",
+        "Unknown: the last run does not determine all parameters",
+    )
     assert find_drift(replace(series, values=np.full((50, 3), np.nan))).state == "unknown"
 
 
