@@ -377,14 +377,20 @@ def test_every_path_and_program_of_the_pages_exists(page: Path) -> None:
         assert re.search(rf"^{''.join(target)}:", makefile, re.MULTILINE), target
 
 
-#: Not a module but the group of entry points by which packages bring solvers.
-ENTRY_POINTS = "modetune.solvers"
+#: Not modules: the group of entry points by which packages bring solvers, an event of Prefect and
+#: its resource.
+OTHER_NAMES = {
+    "modetune.solvers",
+    "modetune.structure",
+    "modetune.structure.NAME",
+    "modetune.structure.changed",
+}
 
 
 @pytest.mark.parametrize("page", [*PAGES, *OUTSIDE[:2]], ids=lambda page: page.name)
 def test_every_python_name_of_the_pages_exists(page: Path) -> None:
     text = page.read_text()
-    names = set(re.findall(r"`(modetune(?:\.\w+)+)", text)) - {ENTRY_POINTS}
+    names = set(re.findall(r"`(modetune(?:\.\w+)+)", text)) - OTHER_NAMES
     for block in re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         for node in ast.walk(ast.parse(block)):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("modetune"):

@@ -54,7 +54,7 @@ modetune identify lab.unv --out modes.csv    # identify modes from response func
 modetune sensors campaign.yaml     # find the node and direction of each sensor
 modetune check campaign.yaml       # report every problem, then compare model and test
 modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
-modetune history campaign.yaml     # the runs of a structure over time
+modetune history campaign.yaml     # the runs of a structure over time, and whether it changed
 modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used
 modetune view campaign.yaml        # follow the campaign in a browser
 modetune report runs/garteur       # write the report again, or its figures as PNG or SVG
@@ -105,10 +105,11 @@ Every command ends with one of these exit codes ([causes and remedies](errors.md
 | 4 | the solver failed, or the modes do not allow the request |
 | 5 | the store or the record cannot be used |
 | 6 | e1 is met, but `--fail-on` excludes the [verdict](trust.md#the-verdict) |
+| 7 | e1 is met, but the structure [changed](monitoring.md#the-state-of-a-structure) (`--fail-on`) |
 | 70 | a fault in modetune; the message names a file to send with a report |
 | 130 | stopped by the user (Ctrl-C, SIGTERM) |
 
-Code 3 precedes 6: an update that does not meet e1 ends with 3 whatever its verdict.
+Code 3 precedes 6 and 7: an update that does not meet e1 ends with 3 whatever its verdict.
 
 With `--json`, standard output is always one JSON object, after a failure with `status`, `reason`
 and `exit_code`. Progress and messages go to standard error.

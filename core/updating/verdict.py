@@ -8,8 +8,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Literal
 
-#: Which verdicts make an update fail: none, any but `trusted`, or `not to be trusted` alone.
-FailOn = Literal["never", "doubt", "not-trusted"]
+#: What makes an update fail: no verdict, any but `trusted`, `not to be trusted` alone, or a change
+#: of the structure over its runs.
+FailOn = Literal["never", "doubt", "not-trusted", "change"]
 
 
 class TrustVerdict(StrEnum):

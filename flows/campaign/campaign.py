@@ -5,6 +5,7 @@ All problems are collected and reported at once, each with file and line, before
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ from modetune.flows.campaign.schema import (
     STORE_VARIABLE,
     CampaignFile,
     ModelFile,
+    MonitoringSection,
     OpenFile,
     ReportSection,
     SensitivitySection,
@@ -87,6 +89,7 @@ class Campaign:
     settings: tuple[str, ...] = ()
     begin: tuple[float, ...] | None = None
     fields: tuple[Field, ...] = ()
+    monitoring: MonitoringSection = dataclasses.field(default_factory=MonitoringSection)
 
     @property
     def case(self) -> Case:
@@ -256,6 +259,7 @@ def load_campaign(
         report=file.report,
         settings=tuple(settings or ()),
         fields=fields,
+        monitoring=file.monitoring,
     )
 
 

@@ -14,6 +14,7 @@ import ast
 import inspect
 import json
 from collections.abc import Iterator
+from datetime import date
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -451,6 +452,21 @@ class SensitivitySection(Section):
     """Step size of finite differences [of the parameter's value]"""
 
 
+class MonitoringSection(Section):
+    """How the runs of a campaign are watched for a change of the structure."""
+
+    learning: Annotated[int, Field(ge=6, le=10_000)] = 30
+    """Number of runs from which the normal scatter is learned; until then only changes by ten
+    repeatability errors or more are reported, and large ones among them."""
+    reference: date | None = None
+    """Date (UTC) of the first run to learn from, such as the day after a repair; without it the
+    first run of the history."""
+    structures: Number = 1
+    """Number of structures that are watched alike: false alarms are those of all together."""
+    false_alarm_rate: Annotated[float, Field(gt=0.0, lt=0.5)] = 1e-3
+    """Probability of a false alarm per run, of all structures together."""
+
+
 class CampaignFile(Section):
     """A whole campaign file."""
 
@@ -474,6 +490,8 @@ class CampaignFile(Section):
     """The report, and the shapes that the record keeps for it."""
     run: RunSection = RunSection()
     """How jobs run."""
+    monitoring: MonitoringSection = MonitoringSection()
+    """How the runs of the campaign are watched for a change of the structure."""
     store: str | None = None
     """Folder of the store; default: MODETUNE_STORE, or `.modetune/store` next to the campaign."""
 

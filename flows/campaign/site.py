@@ -134,7 +134,8 @@ class SiteRun(Section):
     """Whether Prefect coordinates the run; if not, a plain thread pool does."""
     fail_on: FailOn = "never"
     """Verdicts that make an update whose e1 is met fail, with exit code 6 and a flow run of type
-    Failed: `not-trusted`; `doubt`, any verdict but trusted; or `never`."""
+    Failed: `not-trusted`; `doubt`, any verdict but trusted; or `never`. With `change` an update
+    fails, with exit code 7, where the structure has changed over its runs, whatever the verdict."""
     keep: Annotated[int, Field(ge=0, le=100_000)] = 10
     """Number of runs whose record, report and deck stay in `history` below the run folder. The
     past runs of the history stay for ever."""

@@ -1,8 +1,9 @@
 """The command line, which turns errors into a paragraph and an exit code.
 
 Exit codes: 0 done (and converged); 2 bad input; 3 finished, e1 not met; 4 the solver failed;
-5 the store cannot be used; 6 e1 is met, but --fail-on excludes the verdict; 130 stopped by the
-user. Commands import the heavy packages that they use.
+5 the store cannot be used; 6 e1 is met, but --fail-on excludes the verdict; 7 e1 is met, but the
+structure has changed and --fail-on change excludes that; 130 stopped by the user. Commands import
+the heavy packages that they use.
 """
 
 from __future__ import annotations

@@ -46,6 +46,8 @@ MOOD = {
 }
 #: From best to worst; a model has the mood of its worst part.
 MOODS = ("good", "fair", "outside")
+#: States of a structure that belong in the first line: before them it is only being learned.
+SHOWN_STATES = ("steady", "changed")
 #: At most this many parameters appear at the top: those that changed most.
 SHOWN_PARAMETERS = 6
 
@@ -93,12 +95,16 @@ class Headline:
 
 
 def headline(record: CampaignRecord) -> Headline:
-    """Return the top of a record's report; its mood is never better than that of the verdict."""
+    """Return the top of a record's report; its mood is never better than that of the verdict.
+
+    It is the worst mood where the structure has changed.
+    """
     rows, trust = mode_rows(record), _trust(record)
     ending, mood = _ending(record, rows)
     if unmatched_modes(record):
         mood = max(mood, "fair", key=MOODS.index)
-    worst = max(mood, trust.mood, key=MOODS.index)
+    structure = "outside" if record.state == "changed" else "good"
+    worst = max(mood, trust.mood, structure, key=MOODS.index)
     changed, more = _changed(record)
     text = f"{_frequencies(rows)}{_shapes(rows)}{_parameters(record)}"
     return Headline(
@@ -133,7 +139,8 @@ def first_line(record: CampaignRecord) -> str:
     shown, more = list(reasons[:REASONS]), len(reasons) - REASONS
     shown += [_count(more, "more reason")] if more > 0 else []
     why = f" ({'; '.join(shown)})" if shown else ""
-    found = f"{record.name}: {_found(record)}"
+    state = f"{record.drift}; " if record.state in SHOWN_STATES else ""
+    found = f"{record.name}: {state}{_found(record)}"
     return f"{found}; {agreement}; {verdict}: {verdict.advice}{why}."
 
 

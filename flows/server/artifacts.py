@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from modetune.core.storage.campaign_record import CampaignRecord, IterationRecord
+from modetune.core.storage.keys import Json
 from modetune.core.updating.criteria import Tolerances
 from modetune.core.updating.trust import trust_sentences
 from modetune.flows.report.comparison import mac_table
@@ -26,7 +27,8 @@ from modetune.flows.report.iteration_tables import iteration_table
 from modetune.flows.report.mode_tables import mode_labels, mode_table
 from modetune.flows.report.parameter_tables import parameter_table
 from modetune.flows.report.report_file import PAGE
-from modetune.flows.report.tables import Table, artifact_rows
+from modetune.flows.report.tables import Table, artifact_rows, json_object
+from modetune.flows.updating.record import CampaignRun
 
 #: Characters; an artifact contains its picture, which is drawn at lower resolutions until it fits.
 LARGEST_PICTURE = 200_000
@@ -42,6 +44,29 @@ class Artifact:
     key: str
     description: str
     data: str | float
+
+
+@dataclass(frozen=True, slots=True)
+class ServerEvent:
+    """An event of Prefect, which automations react to: what happened to a resource, with facts."""
+
+    event: str
+    resource: str
+    name: str
+    payload: dict[str, Json]
+
+
+#: The event of a structure that was not found changed before.
+CHANGED = "modetune.structure.changed"
+
+
+def change_event(run: CampaignRun) -> ServerEvent:
+    """Return the event of an update that shows a change of its structure."""
+    record = run.record
+    payload = json_object(
+        record, "drift verdict status", run_dir=run.folder.resolve(), drift_details=run.drift
+    )
+    return ServerEvent(CHANGED, f"modetune.structure.{record.name}", record.name, payload)
 
 
 def artifact_key(campaign: str, name: str) -> str:
@@ -148,6 +173,7 @@ def _result_and_files(record: CampaignRecord, folder: Path) -> str:
     reasons = "" if record.trust is None else "\n\n".join(trust_sentences(record.trust))
     return (
         f"**{first_line(record)}**\n\n"
+        + (f"**structure**: {record.drift}\n\n" if record.drift else "")
         + (f"{reasons}\n\n" if reasons else "")
         + f"**{record.status.replace('_', ' ')}**: {record.reason}\n\n"
         f"{_links(files)}\n"

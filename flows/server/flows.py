@@ -42,7 +42,12 @@ from modetune.flows.jobs.prefect_server import configured_server
 from modetune.flows.jobs.runner import Runner
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.jobs.tasks import StudyRun, use_run
-from modetune.flows.server.artifacts import files_artifact, result_artifacts, table_artifact
+from modetune.flows.server.artifacts import (
+    change_event,
+    files_artifact,
+    result_artifacts,
+    table_artifact,
+)
 from modetune.flows.server.run_page import PageLog, PageProgress, RunPage
 from modetune.flows.studies.catalogue import STUDIES, find_study, shell_command
 from modetune.flows.studies.result import StudyResult
@@ -252,7 +257,9 @@ def _carried(
         page.artifact(artifact)
     for line in end.lines:
         page.log(line)
-    name, reason = end.state.replace("_", " ").capitalize(), "; ".join(end.doubts) or end.sentence
+    if isinstance(end.found, CampaignRun) and end.found.news:
+        page.event(change_event(end.found))
+    name, reason = end.state[:1].upper() + end.state[1:], "; ".join(end.doubts) or end.sentence
     # What did not succeed is not shown in green, and an automation can wait for it.
     made: Callable[..., State[Any]] = Failed if end.exit_code else Completed
     return made(name=name, message=reason, data=end.to_json())

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from contextvars import copy_context
 from datetime import UTC, datetime
 from typing import Any
-from uuid import UUID
+from uuid import UUID, uuid4
 
 from prefect.artifacts import (
     create_markdown_artifact,
@@ -33,9 +33,9 @@ from prefect.settings import PREFECT_CLIENT_MAX_RETRIES, temporary_settings
 
 from modetune.core.storage.campaign_record import IterationRecord
 from modetune.core.updating.criteria import Tolerances
-from modetune.flows.jobs.heartbeats import BEAT_S, send_heartbeat
+from modetune.flows.jobs.heartbeats import BEAT_S, RESOURCE, send_heartbeat
 from modetune.flows.jobs.server_client import ServerClient, ServerRefused
-from modetune.flows.server.artifacts import Artifact, progress_artifacts
+from modetune.flows.server.artifacts import Artifact, ServerEvent, progress_artifacts
 from modetune.flows.updating.display import iteration_line
 from modetune.flows.updating.forecast import Progress
 
@@ -67,7 +67,9 @@ class RunPage:
         self._cancel = cancel
         self._own_process = own_process
         self._main = threading.get_ident()
-        self._waiting: queue.SimpleQueue[dict[str, Any] | Artifact] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[dict[str, Any] | Artifact | ServerEvent] = (
+            queue.SimpleQueue()
+        )
         self._artifacts: dict[str, UUID] = {}
         self._over, self._silent = threading.Event(), False
         self._interrupted = False
@@ -94,6 +96,10 @@ class RunPage:
     def artifact(self, artifact: Artifact) -> None:
         """Show a table, a text or a number; a later one of the same key replaces it."""
         self._waiting.put(artifact)
+
+    def event(self, event: ServerEvent) -> None:
+        """Send an event to the server's automations."""
+        self._waiting.put(event)
 
     def finish(self) -> bool:
         """Send what is left, end the thread, and return whether the server answers."""
@@ -163,11 +169,14 @@ class RunPage:
     def _send(self) -> None:
         """Send all that waits: log lines together, the newest artifact of each key."""
         lines: list[dict[str, Any]] = []
+        events: list[ServerEvent] = []
         artifacts: dict[str, Artifact] = {}
         while not self._waiting.empty():
             item = self._waiting.get()
             if isinstance(item, Artifact):
                 artifacts[item.key] = item
+            elif isinstance(item, ServerEvent):
+                events.append(item)
             else:
                 lines.append(item)
         if self._silent:
@@ -175,11 +184,31 @@ class RunPage:
         try:
             if lines:
                 self.client.post("/logs/", lines, REQUEST_S)
+            if events:
+                self.client.post("/events", [self._event(item) for item in events], REQUEST_S)
             for artifact in artifacts.values():
                 with temporary_settings({PREFECT_CLIENT_MAX_RETRIES: 0}):
                     self._show(artifact)
         except Exception:  # a page that lacks a table is no reason for a study to fail
             self._silent = True
+
+    def _event(self, event: ServerEvent) -> dict[str, Any]:
+        """Return an event as the server takes it, related to this run."""
+        run = {
+            "prefect.resource.id": f"{RESOURCE}{self.run}",
+            "prefect.resource.role": "flow-run",
+        }
+        return {
+            "id": str(uuid4()),
+            "occurred": datetime.now(UTC).isoformat(),
+            "event": event.event,
+            "resource": {
+                "prefect.resource.id": event.resource,
+                "prefect.resource.name": event.name,
+            },
+            "related": [run],
+            "payload": event.payload,
+        }
 
     def _show(self, artifact: Artifact) -> None:
         known = self._artifacts.get(artifact.key)

@@ -123,7 +123,8 @@ FailOnOption = Annotated[
     Option(
         "--fail-on",
         help="Verdicts that end it with exit code 6: not-trusted, doubt (any but trusted) or "
-        "never; default: `run.fail_on`.",
+        "never; or change: a changed structure ends an update with exit code 7; default: "
+        "`run.fail_on`.",
     ),
 ]
 Figures = Annotated[Path | None, Option(help="Folder for figures (PNG).")]

@@ -16,6 +16,7 @@ from modetune.flows.studies.study import CampaignOptions, FailOnOption, Runs, St
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from modetune.core.storage.campaign_record import CampaignRecord
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.forecast import Progress
     from modetune.flows.updating.record import CampaignRun
@@ -50,14 +51,16 @@ class UpdateOptions(CampaignOptions):
 def update(on: StudyContext, options: UpdateOptions) -> StudyResult:
     """Update the campaign's model until it agrees with its test.
 
-    Exit code 3 if e1 is not met, whatever the verdict; otherwise 6 if --fail-on excludes the
-    verdict on the updated parameters.
+    Adds the run to the history of the structure. Exit code 3 if e1 is not met, whatever the
+    verdict; otherwise 6 if --fail-on excludes the verdict on the updated parameters, or 7 with
+    --fail-on change if the structure has changed over its runs.
     """
     from modetune.flows.report.headline import first_line
     from modetune.flows.report.mode_tables import mode_table
     from modetune.flows.report.parameter_tables import parameter_table
     from modetune.flows.updating.forecast import told_forecast
     from modetune.flows.updating.record import summary
+    from modetune.flows.updating.run_history import drift_json
     from modetune.flows.updating.update import is_same, update_from_starts
 
     campaign, progress = on.campaign, on.progress
@@ -76,8 +79,10 @@ def update(on: StudyContext, options: UpdateOptions) -> StudyResult:
         )
         status = "unchanged"
     forecast = told_forecast(run.forecast) if run.forecast else None
-    excluded = run.exit_code == 6
-    failed = f"--fail-on {run.fail_on} excludes this verdict: {verdict}" if excluded else ""
+    failed = {
+        6: f"--fail-on {run.fail_on} excludes this verdict: {verdict}",
+        7: f"--fail-on change: {record.drift}",
+    }.get(run.exit_code, "")
     sentence = " ".join([first_line(record), *filter(None, [f"{reason}.", failed])])
     return StudyResult(
         run,
@@ -87,14 +92,22 @@ def update(on: StudyContext, options: UpdateOptions) -> StudyResult:
             "fail_on": run.fail_on,
             "exit_code": run.exit_code,
             "forecast": forecast,
+            "drift": drift_json(run.drift),
         },
         [mode_table(record), parameter_table(record)],
         written=None,
         doubts=[sentence] if run.exit_code else [],
-        status=f"{status}, {verdict.brief}",
+        status=_state(record, f"{status.replace('_', ' ')}, {verdict.brief}"),
         exit_code=run.exit_code,
         shown=partial(_show, run, failed),
     )
+
+
+def _state(record: CampaignRecord, status: str) -> str:
+    """Return the name of the flow run's state, which begins with a change of the structure."""
+    if record.state == "changed":
+        return f"{record.drift}; {status}"
+    return f"{status}, steady" if record.state == "steady" else status
 
 
 def _show(run: CampaignRun, failed: str, console: Console) -> None:

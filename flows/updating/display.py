@@ -129,6 +129,14 @@ def trust_lines(record: CampaignRecord) -> list[str]:
     return [*trust_sentences(record.trust), *(f"- {line}" for line in flagged)]
 
 
+def structure_lines(record: CampaignRecord) -> list[Text]:
+    """Return the state of the structure over its runs, red where it has changed."""
+    if not record.state:
+        return []
+    style = OUTSIDE if record.state == "changed" else ""
+    return [Text(f"structure: {record.drift}", style=style)]
+
+
 def held_out_parts(held: HeldOut | None) -> list[Table | Text]:
     """Return a table and sentences about held-out modes; empty if there are none."""
     return [held_out_table(held), *(Text(line, style=OUTSIDE) for line in held_out_lines(held))]
@@ -152,6 +160,7 @@ def show_run(console: Console, run: CampaignRun) -> None:
         parameter_table(brief, BRIEF_PARAMETERS),
         *brief.splits,
         *trust_lines(record),
+        *structure_lines(record),
         f"{record.status}: {record.reason}",
         f"iterations: {record.iterations[-1].number}; {runs.sentence}{by_e2}; "
         f"{record.wall_s:.1f} s, {runs.core_s / 60.0:.1f} core-minutes{licences}",

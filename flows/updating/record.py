@@ -26,6 +26,7 @@ from modetune.core.errors import ModesError, StorageUnavailable
 from modetune.core.measurement.sensor_map import global_directions
 from modetune.core.mesh import Mesh, global_shapes
 from modetune.core.modes import ModeSet, mode_set
+from modetune.core.monitoring.drift import Drift
 from modetune.core.storage.campaign_record import (
     CampaignRecord,
     IterationRecord,
@@ -269,7 +270,9 @@ class CampaignRun:
     """A campaign's end: its record, its folder, the updated deck and the report's page there.
 
     forecast: what it was expected to cost, where that was asked for. page: None where there is
-    none. fail_on: the verdicts that make the update fail.
+    none. fail_on: what makes the update fail. drift: of the structure over its runs, None where the
+    run was read from its record or has too many parameters. news: whether it shows a change that
+    the run before it did not show.
     """
 
     record: CampaignRecord
@@ -278,6 +281,8 @@ class CampaignRun:
     forecast: Forecast | None = None
     page: Path | None = None
     fail_on: FailOn = "never"
+    drift: Drift | None = None
+    news: bool = False
 
     @property
     def converged(self) -> bool:
@@ -292,9 +297,11 @@ class CampaignRun:
     @property
     def exit_code(self) -> int:
         """The exit code of `modetune update`: 3 where e1 is not met, else 6 where `fail_on`
-        excludes the verdict, else 0."""
+        excludes the verdict, 7 where it excludes a change of the structure, else 0."""
         if not self.converged:
             return 3
+        if self.fail_on == "change":
+            return 7 if self.record.state == "changed" else 0
         return 6 if self.verdict.excluded_by(self.fail_on) else 0
 
     @property

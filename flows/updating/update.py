@@ -467,7 +467,10 @@ def _update(
     forecast: Callable[[Forecast], None] | None,
     joined: Callable[[CampaignRecord], CampaignRecord],
 ) -> CampaignRun:
-    earlier, history = read_earlier(folder), RunHistory(folder, campaign.run.keep)
+    earlier, history = (
+        read_earlier(folder),
+        RunHistory(folder, campaign.run.keep, campaign.monitoring),
+    )
     if earlier is not None:
         history.recover(earlier.record)
     campaign = start_of(campaign, engine, earlier)
@@ -496,9 +499,11 @@ def _update(
     evaluator = evaluator_of(campaign, engine)
     with unfinished_record(unfinished) as write:
         record = joined(Updating(campaign, evaluator, forecaster or progress, keep).run())
-        record = replace(record, ended_at=time.time())
+        record, drift = history.concluded(record)
         keep(record)
     logger.info("%s: %s", record.status, record.reason)
+    if drift is not None:
+        logger.info("structure: %s", drift.sentence)
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
@@ -508,9 +513,10 @@ def _update(
         page = draw_report(with_first_cost(record, earlier), folder)
     else:
         page = None
+    news = history.is_news(record)
     history.add(record, page)
     first = forecaster.first if forecaster else None
-    return CampaignRun(record, folder, deck, first, page)
+    return CampaignRun(record, folder, deck, first, page, drift=drift, news=news)
 
 
 def update_from_starts(

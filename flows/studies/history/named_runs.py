@@ -19,7 +19,7 @@ from modetune.core.monitoring.past_runs import (
 )
 from modetune.core.storage.campaign_record import CAMPAIGN, is_record, read_record
 from modetune.flows.campaign.campaign import campaign_form
-from modetune.flows.campaign.schema import ModelFile
+from modetune.flows.campaign.schema import ModelFile, MonitoringSection
 from modetune.flows.updating.run_history import kept_folder
 
 #: A date, with as much of the time as is needed: 2026-11-27, 2026-11-27T21:05.
@@ -36,10 +36,14 @@ class NamedRun:
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """What the words of the command name: a whole history, or two runs of one or two."""
+    """What the words of the command name: a whole history, or two runs of one or two.
+
+    monitoring: of the campaign; None where a run folder is named.
+    """
 
     history: History
     folder: Path
+    monitoring: MonitoringSection | None = None
     two: tuple[NamedRun, NamedRun] | None = None
 
 
@@ -60,7 +64,7 @@ def named(words: Sequence[str], runs: Path, settings: Sequence[str]) -> Named:
             )
         two = (_run_of(Path(first), runs, settings), _run_of(Path(others[0]), runs, settings))
         return Named(History(), Path(), two=two)
-    folder = run_folder(Path(first), runs, settings)
+    folder, monitoring = run_folder(Path(first), runs, settings)
     history = read_history(folder)
     if not history.runs:
         reasons = [f"left out: {problem}" for problem in history.problems]
@@ -71,23 +75,28 @@ def named(words: Sequence[str], runs: Path, settings: Sequence[str]) -> Named:
             ]
         )
     if not dates:
-        return Named(history, folder)
+        return Named(history, folder, monitoring)
     if len(dates) > 2:
         raise CampaignError(f"two dates can be compared, and {len(dates)} are given")
     found = [_dated(history, folder, date) for date in dates]
     if len(found) == 1:
         found.append(_placed(folder, history.runs[-1]))
-    return Named(history, folder, (found[0], found[1]))
+    return Named(history, folder, monitoring, (found[0], found[1]))
 
 
-def run_folder(place: Path, runs: Path, settings: Sequence[str] = ()) -> Path:
-    """Return the run folder of a campaign's file, or a run folder itself. Raises CampaignError."""
+def run_folder(
+    place: Path, runs: Path, settings: Sequence[str] = ()
+) -> tuple[Path, MonitoringSection | None]:
+    """Return the run folder of a campaign's file with its monitoring, or a run folder itself.
+
+    Raises CampaignError.
+    """
     if place.is_dir():
-        return place
+        return place, None
     if not place.is_file():
         raise CampaignError(f"{place} is not there; name a campaign file or a run folder")
     form = campaign_form(read_yaml(place, "a campaign"), list(settings), ModelFile)
-    return runs / form.name
+    return runs / form.name, form.monitoring
 
 
 def _run_of(place: Path, runs: Path, settings: Sequence[str]) -> NamedRun:
@@ -98,7 +107,7 @@ def _run_of(place: Path, runs: Path, settings: Sequence[str]) -> NamedRun:
             return _placed(place.parent.parent, run)
         place = place.parent
     if (place / FOLDER).is_dir() or place.is_file():
-        folder = run_folder(place, runs, settings)
+        folder, _ = run_folder(place, runs, settings)
         history = read_history(folder)
         if history.runs:
             return _placed(folder, history.runs[-1])

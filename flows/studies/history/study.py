@@ -27,6 +27,7 @@ from modetune.flows.studies.study import (
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from modetune.core.monitoring.drift import Drift
     from modetune.core.monitoring.past_runs import PastRun
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.studies.history.differences import RunDifference
@@ -41,14 +42,16 @@ Csv = Annotated[
 
 @dataclass(frozen=True, slots=True, repr=False)
 class StructureHistory:
-    """The history of a structure: its past runs, oldest first.
+    """The history of a structure: its past runs, oldest first, and its drift at the newest.
 
-    folder: the run folder. problems: files that were left out, a sentence each.
+    folder: the run folder. drift: None where no campaign says how to watch the structure: then its
+    state is what the newest run found. problems: files that were left out, a sentence each.
     """
 
     name: str
     folder: Path
     runs: tuple[PastRun, ...]
+    drift: Drift | None
     problems: tuple[str, ...]
 
     @property
@@ -60,7 +63,23 @@ class StructureHistory:
         return pd.DataFrame(rows, columns=head)
 
     def __repr__(self) -> str:
-        return f"{self.name}: {len(self.runs)} runs"
+        return f"{self.name}: {len(self.runs)} runs, {self.sentence}"
+
+    @property
+    def sentence(self) -> str:
+        """The state of the structure in a sentence."""
+        return self._state[1]
+
+    @property
+    def state(self) -> str:
+        """The state of the structure: learning, steady, changed or unknown."""
+        return self._state[0]
+
+    @property
+    def _state(self) -> tuple[str, str]:
+        if self.drift is not None:
+            return self.drift.state, self.drift.sentence
+        return self.runs[-1].state or "unknown", self.runs[-1].drift or "Unknown"
 
 
 @dataclass(frozen=True)
@@ -86,7 +105,7 @@ class HistoryOptions(StudyOptions):
         if not self.of:
             raise CampaignError("name a campaign: modetune history campaign.yaml")
         if len(self.of) == 1:
-            place = run_folder(Path(self.of[0]), self.runs, self.settings or [])
+            place, _ = run_folder(Path(self.of[0]), self.runs, self.settings or [])
             name = place.resolve().name
         else:
             name = " and ".join(Path(word).name for word in self.of)
@@ -99,7 +118,7 @@ class HistoryOptions(StudyOptions):
 
 @study(HistoryOptions)
 def history(on: StudyContext, options: HistoryOptions, csv: Csv = None) -> StudyResult:
-    """Show the history of a structure: its runs in a table, and trends.
+    """Show the history of a structure: its runs in a table, trends, and whether it changed.
 
     With dates or two runs: what changed between them, in repeatability errors.
     """
@@ -111,11 +130,14 @@ def history(on: StudyContext, options: HistoryOptions, csv: Csv = None) -> Study
         if csv is not None:
             raise CampaignError("--csv writes the table of a history, not of two runs")
         return _of_two(difference(*found.two))
+    from modetune.flows.updating.run_history import drift_at
+
     runs = found.history.runs
     whole = StructureHistory(
         runs[-1].name,
         found.folder,
         runs,
+        None if found.monitoring is None else drift_at(found.history, runs[-1], found.monitoring),
         found.history.problems,
     )
     return _of_one(whole, csv)
@@ -129,19 +151,21 @@ def _of_one(whole: StructureHistory, csv: Path | None) -> StudyResult:
     title = "Runs, oldest first"
     return StudyResult(
         whole,
-        f"{whole.name}: {count}",
+        f"{whole.name}: {count}; {whole.sentence}",
         json_object(
-            status="done",
+            status=whole.state,
+            sentence=whole.sentence,
             name=whole.name,
             run_dir=near(whole.folder),
+            drift=whole.drift,
             runs=[run_json(run) for run in runs],
             problems=whole.problems,
         ),
         [run_table(runs, title)],
-        [f"{count} of {whole.name}", *left],
+        [whole.sentence, f"{count} of {whole.name}", *left],
         [write_csv(csv, runs)] if csv is not None else [],
         trend_charts(whole.name, runs),
-        status="done",
+        status=whole.state,
         shown=partial(_show, whole),
     )
 
@@ -155,7 +179,7 @@ def _show(whole: StructureHistory, console: Console) -> None:
     more = len(whole.runs) - len(runs)
     lines = [f"{more} earlier runs: see --csv, --json or --page"] if more else []
     left = [f"left out: {problem}" for problem in whole.problems]
-    show([run_table(runs), *lines, *left], console)
+    show([run_table(runs), *lines, f"{whole.name}: {whole.sentence}", *left], console)
 
 
 def _of_two(found: RunDifference) -> StudyResult:
@@ -209,7 +233,7 @@ def run_json(run: PastRun) -> dict[str, Json]:
     ]
     return json_object(
         run,
-        "at number status verdict reason environment test_digest deck_digest settings "
+        "at number state drift status verdict reason environment test_digest deck_digest settings "
         "solver solver_version modetune_version",
         parameters=parameters,
         modes=modes,
@@ -221,7 +245,7 @@ def csv_rows(runs: tuple[PastRun, ...]) -> list[list[object]]:
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     modes = tuple(dict.fromkeys(label for run in runs for label in run.modes))
     quantities = tuple(dict.fromkeys(name for run in runs for name in run.environment))
-    head = ["run", "at", "status", "verdict"]
+    head = ["run", "at", "state", "status", "verdict", "drift"]
     head += [
         f"{name}{what}" for name in names for what in ("", " repeatability", " standard error")
     ]
@@ -230,7 +254,7 @@ def csv_rows(runs: tuple[PastRun, ...]) -> list[list[object]]:
     rows: list[list[object]] = [list(head)]
     for run in runs:
         row: list[object] = [
-            run.number, run.at, run.status, run.verdict.value
+            run.number, run.at, run.state, run.status, run.verdict.value, run.drift
         ]  # fmt: skip
         for name in names:
             at = run.names.index(name) if name in run.names else None

@@ -13,6 +13,7 @@ from modetune.flows.report.chart import (
     BEFORE,
     GREY,
     PARAMETER_COLOURS,
+    TEST,
     Axis,
     Chart,
     Curve,
@@ -29,12 +30,16 @@ DAY_S = 86_400.0
 
 
 def run_table(runs: Sequence[PastRun], title: str = "Runs, oldest first") -> Table:
-    """Return a row a run: time, verdict, agreement, parameters and environment."""
+    """Return a row a run: time, state, verdict, agreement, parameters and environment.
+
+    A run whose structure has changed is marked.
+    """
     names = tuple(dict.fromkeys(name for run in reversed(runs) for name in run.names))[:COLUMNS]
     quantities = tuple(dict.fromkeys(name for run in runs for name in run.environment))[:COLUMNS]
     columns = (
         Column("run", name="number"),
         Column("ended (UTC)", words=True, name="at"),
+        Column("structure", words=True, name="state"),
         Column("status", words=True, name="status"),
         Column("parameters", words=True, name="verdict"),
         Column("largest frequency error", "%", ".2f", name="error"),
@@ -45,6 +50,7 @@ def run_table(runs: Sequence[PastRun], title: str = "Runs, oldest first") -> Tab
         (
             run.number,
             run.at[:16].replace("T", " "),
+            run.state,
             run.status.replace("_", " "),
             run.verdict.brief,
             largest_error(run),
@@ -53,7 +59,10 @@ def run_table(runs: Sequence[PastRun], title: str = "Runs, oldest first") -> Tab
         )
         for run in runs
     )
-    return Table(title, columns, rows)
+    changed = frozenset(
+        (place, "state") for place, run in enumerate(runs) if run.state == "changed"
+    )
+    return Table(title, columns, rows, outside=changed)
 
 
 def relative(run: PastRun, name: str) -> float:
@@ -106,6 +115,7 @@ def _parameters(name: str, runs: Sequence[PastRun]) -> Chart:
         errors = 100.0 * np.array([_repeatability(run, parameter) for run in runs])
         tooltips = tuple(
             f"{run.at}: {parameter} {value:.2f} % of the deck, repeatability {error:.2g} %"
+            + (f"; {run.drift}" if run.drift else "")
             for run, value, error in zip(runs, values, errors, strict=True)
         )
         band = f"{BAND:g} repeatability errors"
@@ -114,6 +124,10 @@ def _parameters(name: str, runs: Sequence[PastRun]) -> Chart:
             for sign in (-1.0, 1.0)
         ]
         items.append(Curve("updated", x, values, AFTER, "-", "o", size=4.0, tooltips=tooltips))
+        changed = np.array([parameter in run.changed for run in runs])
+        if changed.any():
+            marked = np.where(changed, values, np.nan)
+            items.append(Curve("changed", x, marked, TEST, "", "ring", size=11.0))
         panels.append(Panel(tuple(items), axis, Axis("% of the deck"), parameter))
     return _chart(name, "updated parameters over the runs", panels)
 

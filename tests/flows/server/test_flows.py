@@ -27,6 +27,7 @@ from modetune.flows.campaign.site import HOME_VARIABLE
 from modetune.flows.jobs.prefect_server import machine_home
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
+from tests.eventually import eventually
 from tests.flows.conftest import Bench, Watcher, api_of
 from tests.flows.server.site import SIX_MASS
 from tests.flows.updating.test_update import settings
@@ -123,6 +124,27 @@ def test_the_state_of_a_run_carries_the_verdict(served: Served) -> None:
     end, _ = served.update(served.bench.campaign(TRUTH), "trusted")
     # Without matrices no other start was tried.
     assert served.newest()["state_name"] == "Converged, with reservations"
+
+
+def test_a_changed_structure_is_in_the_state_and_sends_an_event_once(served: Served) -> None:
+    """A spring loses 15 %: the run that shows it sends the event, and the next one does not."""
+
+    def events() -> list[dict[str, Any]]:
+        wanted = {"filter": {"event": {"name": ["modetune.structure.changed"]}}}
+        found: list[dict[str, Any]] = api_of(served.home).post("/events/filter", wanted)["events"]
+        return found
+
+    for night, k1 in enumerate((1.0, 0.85, 0.8501)):
+        end, _ = served.update(served.bench.campaign({**TRUTH, "k1": k1 * TRUTH["k1"]}))
+        name = served.newest()["state_name"]
+        assert name.startswith("Changed: k1 -" if night else "Converged, "), name
+        assert not night or name.endswith("; converged, with reservations")
+        assert end.found.news is (night == 1)
+    assert eventually(events)
+    (event,) = events()
+    assert event["resource"]["prefect.resource.id"] == "modetune.structure.chain"
+    assert event["payload"]["drift"].startswith("Changed: k1 -1")
+    assert event["payload"]["drift_details"]["changes"][0]["step"] is True
 
 
 def test_edges_lead_from_modes_by_columns_and_the_step_to_the_next_modes(served: Served) -> None:

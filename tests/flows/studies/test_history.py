@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from subprocess import CompletedProcess
 
@@ -18,8 +18,10 @@ from scipy.linalg import eigh
 import modetune
 from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
-from modetune.core.monitoring.past_runs import FOLDER, read_history
+from modetune.core.monitoring.past_runs import FOLDER, PAST_RUN, add_past_run, read_history
 from modetune.core.storage.campaign_record import read_record
+from modetune.flows.report.headline import headline
+from modetune.flows.report.page import page
 from modetune.flows.studies.history.differences import RunDifference
 from modetune.flows.studies.history.study import StructureHistory
 from tests.command_line import run_command
@@ -140,18 +142,41 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Structure:
     """Three equal nights and one after a spring lost 15 %; two kept runs."""
     structure = six_masses(tmp_path_factory.mktemp("watched"), "run: {keep: 2}\n")
     for night in (1, 2, 3):
-        ended = structure.night(night)
+        ended = structure.night(night, "--fail-on", "change")
         assert ended.returncode == 0, ended.stderr
-    ended = structure.night(4, "--json", k1=0.85)
-    assert ended.returncode == 0, ended.stderr
+        assert f"structure: Learning: {night} of 30 runs" in ended.stdout
+    ended = structure.night(4, "--fail-on", "change", "--json", k1=0.85)
+    assert ended.returncode == 7, ended.stderr
     (structure.folder / "ended.json").write_text(ended.stdout)
     return structure
 
 
+def test_a_loss_of_15_per_cent_ends_as_changed_with_exit_code_7(watched: Structure) -> None:
+    found = json.loads((watched.folder / "ended.json").read_text())
+    assert (found["status"], found["exit_code"]) == ("converged", 7)
+    assert found["run_dir"] == "runs/six"
+    drift = found["drift"]
+    assert drift["state"] == "changed"
+    assert drift["sentence"].startswith("Changed: k1 -1")
+    k1, k2 = drift["changes"]
+    # Noise of 0.1 % in frequencies and 2 % in shapes leaves k1 its repeatability of 0.6 %.
+    assert k1["since_reference"] == pytest.approx(-0.15, abs=0.02)
+    assert (k1["step"], k2["step"] or k2["slow"]) == (True, False)
+    assert drift["sentence"] in found["headline"]
+
+
+def test_the_report_says_it_in_red(watched: Structure) -> None:
+    record = read_record(watched.runs)
+    assert (record.state, record.changed) == ("changed", ("k1",))
+    assert headline(record).mood == "outside"
+    assert record.drift in page(record)
+
+
 def test_the_history_lists_all_runs_oldest_first(watched: Structure) -> None:
     found = json.loads(watched.run("history", "campaign.yaml", "--json").stdout)
-    assert (found["name"], found["status"], found["run_dir"]) == ("six", "done", "runs/six")
+    assert (found["name"], found["status"], found["run_dir"]) == ("six", "changed", "runs/six")
     runs = found["runs"]
+    assert [run["state"] for run in runs] == ["learning"] * 3 + ["changed"]
     assert [run["number"] for run in runs] == [1, 2, 3, 4]
     assert [run["environment"] for run in runs] == [
         {"temperature_C": 15.0 + night} for night in (1, 2, 3, 4)
@@ -172,13 +197,16 @@ def test_table_csv_page_and_charts(watched: Structure) -> None:
     words = ["--csv", "runs.csv", "--page", "history.html", "--figures", "figures"]
     ended = watched.run("history", "campaign.yaml", *words)
     assert ended.returncode == 0, ended.stderr
+    assert "six: Changed: k1 -1" in ended.stdout
     with (watched.folder / "runs.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
+    assert [row["state"] for row in rows] == ["learning"] * 3 + ["changed"]
     assert float(rows[0]["temperature_C"]) == 16.0
     assert float(rows[3]["k1"]) == pytest.approx(0.85 * 1500.0, rel=0.02)
     charts = {path.stem for path in (watched.folder / "figures").iterdir()}
     assert charts == {"parameters", "frequencies", "agreement", "environment"}
     text = (watched.folder / "history.html").read_text()
+    assert "Changed: k1" in text
     assert "Updated parameters over the runs" in text
 
 
@@ -223,11 +251,11 @@ def test_python_gives_the_same(watched: Structure, monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(watched.folder)
     found = modetune.history("campaign.yaml")
     assert isinstance(found, StructureHistory)
-    assert len(found.runs) == 4
+    assert (found.state, len(found.runs), found.drift is not None) == ("changed", 4, True)
     assert found.frame["k1"].iloc[-1] == pytest.approx(0.85 * 1500.0, rel=0.02)
     of_folder = modetune.history(watched.runs)
     assert isinstance(of_folder, StructureHistory)
-    assert len(of_folder.runs) == 4
+    assert (of_folder.state, of_folder.sentence) == ("changed", found.runs[-1].drift)
     day = found.runs[0].at[:10]
     both = modetune.history(["campaign.yaml", found.runs[0].at, found.runs[-1].at])
     assert isinstance(both, RunDifference)
@@ -274,7 +302,9 @@ def test_a_repeated_run_and_a_night_without_a_new_test_add_nothing(copied: Struc
     before = copied.past_files()
     campaign = copied.folder / "campaign.yaml"
     campaign.write_text(campaign.read_text() + "report: {page: false}  # other settings\n")
-    assert copied.update().returncode == 0
+    ended = copied.update("--fail-on", "change")
+    assert ended.returncode == 7
+    assert "structure: Changed: k1 -1" in ended.stdout
     assert copied.past_files() == before
 
 
@@ -303,6 +333,7 @@ def test_broken_and_foreign_files_stop_no_update(copied: Structure) -> None:
     (folder / "notes.h5").write_text("notes of the lab\n")
     ended = copied.night(5, k1=0.85)
     assert ended.returncode == 0
+    assert "structure: Changed: k1" in ended.stdout
     log = (copied.runs / "campaign.log").read_text()
     assert log.count("left out of the history") == 2
     shown = copied.run("history", "campaign.yaml")
@@ -340,11 +371,74 @@ def test_a_file_in_the_way_stops_no_update(tmp_path: Path) -> None:
     assert len(structure.past_files()) == 2
 
 
+def test_a_clock_that_goes_back_changes_no_order(copied: Structure) -> None:
+    """The newest past run is dated a year ahead: it ran while the clock was wrong."""
+    newest = copied.runs / FOLDER / copied.past_files()[-1]
+    run = PAST_RUN.read(newest)
+    newest.unlink()
+    add_past_run(copied.runs, replace(run, ended_at=run.ended_at + 366 * 86400.0))
+    assert copied.night(5, k1=0.85).returncode == 0
+    history = read_history(copied.runs)
+    assert [past.number for past in history.runs] == [1, 2, 3, 4, 5]
+    assert history.runs[-1].state == "changed"
+    assert copied.run("history", "campaign.yaml", "--page", "p.html").returncode == 0
+
+
 def test_keep_0_keeps_past_runs_only(tmp_path: Path) -> None:
     structure = six_masses(tmp_path, "run: {keep: 0}\n")
     assert structure.night(1).returncode == 0
     (only,) = (structure.runs / FOLDER).iterdir()
     assert only.name == structure.past_files()[0]
+
+
+RING = Springs(
+    {f"m{place}": 2.0 for place in range(1, 9)},
+    {f"ring{place}": (f"m{place}", f"m{place % 8 + 1}", 900.0) for place in range(1, 9)}
+    | {f"foot{place}": (GROUND, f"m{place}", 400.0) for place in range(1, 9)},
+)
+TRAIN = Springs(
+    {"engine": 80.0, "tender": 30.0, "first": 20.0, "second": 22.0, "third": 18.0},
+    {
+        "front": ("engine", "tender", 5e5), "middle": ("tender", "first", 4e5),
+        "rear": ("first", "second", 4e5), "last": ("second", "third", 4e5),
+    },
+)  # fmt: skip
+FRAME = Springs(
+    {"slab": 4000.0, "machine": 900.0, "absorber": 40.0},
+    {
+        "soil": (GROUND, "slab", 6e7), "mount": ("slab", "machine", 2e6),
+        "blade": ("machine", "absorber", 9e4),
+    },
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "system", "parameters", "modes", "damaged"),
+    [
+        # A ring on eight feet: all but two of its modes are pairs with one frequency.
+        ("ring", RING, ("ring1", "foot3"), tuple(range(8)), "ring1"),
+        # A train that runs free: one rigid-body mode, which the test does not measure.
+        ("train", TRAIN, ("middle", "last"), (1, 2, 3, 4), "last"),
+        # A machine on a slab, with an absorber tuned to it: two close modes of opposite motion.
+        ("foundation", FRAME, ("soil", "mount", "blade"), (0, 1, 2), "mount"),
+    ],
+)
+def test_structures_of_other_kinds(
+    tmp_path: Path,
+    name: str,
+    system: Springs,
+    parameters: tuple[str, ...],
+    modes: tuple[int, ...],
+    damaged: str,
+) -> None:
+    structure = Structure(name, tmp_path, system, parameters, modes)
+    structure.write()
+    for night in (1, 2):
+        ended = structure.night(night, "--fail-on", "change")
+        assert ended.returncode == 0, ended.stdout + ended.stderr
+    ended = structure.night(3, "--fail-on", "change", **{damaged: 0.85})
+    assert ended.returncode == 7, ended.stdout + ended.stderr
+    assert f"structure: Changed: {damaged} -1" in ended.stdout
 
 
 def beam_deck() -> str:
@@ -388,8 +482,9 @@ def test_a_modulus_that_fell_is_found_through_calculix(tmp_path: Path) -> None:
         rows = [["mode", 1, 2, 3, 4], ["frequency_hz", *(hz * np.sqrt(modulus) * noise)]]
         text = "\n".join(",".join(map(str, row)) for row in rows)
         (tmp_path / "measured.csv").write_text(text)
-        ended = structure.update()
-        assert ended.returncode == 0, ended.stdout + ended.stderr
+        ended = structure.update("--fail-on", "change")
+        assert ended.returncode == (7 if modulus < 1.0 else 0), ended.stdout + ended.stderr
+    assert "structure: Changed: E -1" in ended.stdout
     history = read_history(structure.runs)
     # 0.2 % of four frequencies leaves the modulus 0.2 %: half the deviation times two.
     assert history.runs[-1].repeatability / 210000.0 == pytest.approx(0.002, rel=0.3)
