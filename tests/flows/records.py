@@ -32,7 +32,7 @@ def contents(record: Path) -> dict[str, tuple[object, ...]]:
 
     def take(name: str, item: h5py.Group | h5py.Dataset) -> None:
         for key, value in item.attrs.items():
-            if key not in OF_THE_RUN:
+            if key not in OF_THE_RUN and (name, key) != ("", "ended_at"):
                 found[f"{name}@{key}"] = _bits(value)
         if isinstance(item, h5py.Dataset):
             found[name] = _bits(item[()])

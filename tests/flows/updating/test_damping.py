@@ -85,7 +85,7 @@ def test_dampers_and_a_spring_are_found_from_ratios_and_frequencies(tmp_path: Pa
     updated = {item["name"]: item["updated"] for item in told["parameters"]}
     # e1 holds ratios to 1e-4 of themselves.
     assert updated == pytest.approx(TRUTH, rel=1e-3)
-    (written,) = (tmp_path / told["run_dir"]).rglob("chain.yaml")
+    (written,) = (tmp_path / told["run_dir"] / "updated").rglob("chain.yaml")
     assert f"viscous: {3.0 * updated['c1']!r}" in written.read_text()
 
 
