@@ -36,7 +36,7 @@ parameters:
   - {name: k2, quantity: spring_stiffness, elset: k2, bounds: [0.5, 2.0]}
 residuals:
   damping: {deviation: 0.01, tolerance: 1.0e-4}
-update: {e1: {frequency: 1.0e-5}}
+update: {e1: {frequency: 1.0e-5}, starts: 1}
 """
 
 

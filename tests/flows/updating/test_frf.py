@@ -42,7 +42,7 @@ parameters:
 residuals:
   frequency_weight: %g
   frf: {%s}
-update: {e1: {frequency: 1.0e-3}}
+update: {e1: {frequency: 1.0e-3}, starts: 1}
 """
 
 

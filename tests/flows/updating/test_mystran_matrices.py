@@ -60,7 +60,7 @@ def campaign_file(
         "name: part\nmodel: {deck: part.bdf, solver: mystran, units: m-kg-s}\n"
         f"test: {{modes: part.csv}}\nparameters:\n{items}"
         "residuals: {frequency_weight: 1.0, shape_weight: 0.1}\n"
-        "update:\n  step: weighted_least_squares\n"
+        "update:\n  starts: 1\n  step: weighted_least_squares\n"
         "  e1: {frequency: 1.0e-6, mac: 0.99}\n  e2: 0.0\n"
         "  max_iterations: 12\n  step_limit: 0.5\nreport: {page: false}\n"
     )

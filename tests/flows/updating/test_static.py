@@ -52,7 +52,7 @@ parameters:
 residuals:
   shape_weight: 0.0
 %s
-update: {e1: {frequency: 1.0e-4}}
+update: {e1: {frequency: 1.0e-4}, starts: 1}
 """
 STATIC = """  static:
     cases:
