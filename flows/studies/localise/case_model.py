@@ -116,14 +116,13 @@ def case_model(
     source = MatrixSource(state.engine, parameters, campaign.sensitivity.step)
     theta = np.concatenate([part.theta, np.ones(len(quantities))])
     columns = range(theta.size)
-    evaluator.carry_out("matrices", source.works(theta, columns), state)
+    works = source.works(theta, columns)
+    own_matrices = evaluator.carry_out("matrices", works[:1], state)  # the model's
+    _check_size(own_matrices[0][0].result(MatrixResult) if own_matrices else None)
+    evaluator.carry_out("matrices", works[1:], state)
     affine = source.matrices(theta, columns)
+    _check_size(affine.base)
     size = affine.base.nodes.size
-    if size > MOST_UNKNOWNS:
-        raise ModelError(
-            f"changes are proposed for models of up to {MOST_UNKNOWNS:,} unknowns; this one has "
-            f"{size:,}"
-        )
     written, case = source.written(theta), all_data(state.case)
     rows = named_freedoms(case.nodes, np.array(case.rotation_nodes, dtype=np.int64))
     observer = observer_of(state.campaign, affine.base, *rows)
@@ -165,6 +164,15 @@ def case_model(
         released=groups,
     )
     return replace(known, known=known.compared(loaded.changed(()), written))
+
+
+def _check_size(matrices: MatrixResult | None) -> None:
+    """Raise ModelError for a model that is too large, before more of its matrices are computed."""
+    if matrices is not None and matrices.nodes.size > MOST_UNKNOWNS:
+        raise ModelError(
+            f"changes are proposed for models of up to {MOST_UNKNOWNS:,} unknowns; this one has "
+            f"{matrices.nodes.size:,}"
+        )
 
 
 def _mass(matrices: MatrixResult, deck: Deck) -> float:

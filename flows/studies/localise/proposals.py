@@ -62,9 +62,10 @@ PROPOSED = 0.9
 class Proposal:
     """A change of the model with its evidence.
 
-    amplitudes: (n_amplitudes,), and errors: their relative standard errors. theta: (n_parameters,),
-    the campaign's parameters with it. misfit: the chi-square that it leaves. removed: its share of
-    what the parameters alone leave. log_evidence: relative to no change. probability: of the
+    amplitudes: (n_amplitudes,), and errors: their relative standard errors, the prior's where
+    the test does not determine them. theta: (n_parameters,), the campaign's parameters with it.
+    misfit: the chi-square that it leaves. removed: its share of what the parameters alone leave, at
+    least 1. log_evidence: relative to no change. probability: of the
     change, of all changes and none. alike: labels of others that cannot be told apart from it.
     """
 
@@ -299,7 +300,10 @@ class ChangeSearch:
     ) -> Iterator[Proposal]:
         for n in sorted(refined, key=lambda n: -(logs[n] + prior[n])):
             place, misfit, hessian = refined[n]
-            covariance = np.linalg.pinv(hessian / scale)
+            # What the test does not determine has the error of its prior, uniform in logarithms.
+            width = np.concatenate([self.width, np.log(changes[n].upper / changes[n].lower)])
+            prior_hessian = np.diag(12.0 / np.minimum(width, 1e3) ** 2)
+            covariance = np.linalg.inv(hessian / scale + prior_hessian)
             own = self.place.size
             yield Proposal(
                 change=changes[n],
@@ -307,7 +311,7 @@ class ChangeSearch:
                 errors=np.sqrt(np.maximum(np.diag(covariance)[own:], 0.0)),
                 theta=np.exp(place[:own]),
                 misfit=misfit,
-                removed=1.0 - misfit / self.misfit if self.misfit > 0.0 else 0.0,
+                removed=(self.misfit - misfit) / max(self.misfit, 1.0),
                 log_evidence=float(logs[n]),
                 probability=float(chances[n]),
                 alike=tuple(
