@@ -501,9 +501,9 @@ def _update(
         record = joined(Updating(campaign, evaluator, forecaster or progress, keep).run())
         record, drift = history.concluded(record)
         keep(record)
-    logger.info("%s: %s", record.status, record.reason)
     if drift is not None:
         logger.info("structure: %s", drift.sentence)
+    logger.info("%s: %s", record.status, record.reason)
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
