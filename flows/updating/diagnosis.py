@@ -150,10 +150,17 @@ def model_errors(campaign: Campaign, evaluation: Evaluation) -> Floats:
     return whole
 
 
+def _between(sizes: Sequence[float]) -> str:
+    """Return the size in one configuration, or the least and the largest of several."""
+    ends = dict.fromkeys(f"{size:.2g}" for size in (min(sizes), max(sizes)))
+    return " to ".join(ends)
+
+
 def _size_note(found: Residual, fit: LinearFit) -> tuple[str, ...]:
     """Return a sentence on the size of the model's own error if it exceeds the test's noise."""
     sizes, used = np.sum(fit.errors**2, axis=1), fit.weights > 0.0
-    parts, exceeds, counts = [], False, ""
+    own_sizes: dict[str, list[float]] = {}
+    exceeds, counts = False, ""
     for block, rows in zip(found.blocks, found.block_rows, strict=True):
         own = np.flatnonzero(used[rows]) + rows.start
         if block.kind not in ("frequencies", "shapes") or own.size == 0:
@@ -161,17 +168,18 @@ def _size_note(found: Residual, fit: LinearFit) -> tuple[str, ...]:
         size, noise = float(sizes[own].mean()), float(fit.variances[own].mean())
         exceeds |= size > noise
         if block.kind == "frequencies":
-            parts.append(f"{50.0 * np.sqrt(size):.2g} % of a frequency")  # of eigenvalues: twice
+            # Of eigenvalues: twice.
+            own_sizes.setdefault("a frequency", []).append(50.0 * np.sqrt(size))
             continue
         # An entry of a unit shape is one of its root mean square over the root of their number.
         share = np.sqrt(size * float(block.sizes.mean()))
-        parts.append(f"{100.0 * share:.2g} % of a shape's rms")
+        own_sizes.setdefault("a shape's rms", []).append(100.0 * share)
         n = effective_number(fit, own)
         if n < 0.5 * own.size:
             counts = f"; the {own.size} values of shapes count as {max(n, 1.0):.0f}"
     if not exceeds:
         return ()
-    text = " and ".join(parts)
+    text = " and ".join(f"{_between(sizes)} % of {what}" for what, sizes in own_sizes.items())
     if int(used.sum()) <= fit.sensitivity.shape[1]:
         # Without a degree of freedom the size is that of the prior alone.
         return (f"The standard errors assume that the model errs by {text}: no residual tests it.",)
