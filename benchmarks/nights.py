@@ -159,7 +159,8 @@ def temperatures(rng: Generator, n: int, season: bool) -> Floats:
     if not season:
         return rng.uniform(0.0, SWING, n)
     phase = 2.0 * np.pi * (np.arange(n) / 365.0 + rng.uniform())
-    return np.clip(0.35 * SWING * np.sin(phase) + rng.normal(0.0, 3.0, n), -SWING / 2, SWING / 2)
+    seasonal = 0.35 * SWING * np.sin(phase) + rng.normal(0.0, 3.0, n)
+    return np.asarray(np.clip(seasonal, -0.5 * SWING, 0.5 * SWING))
 
 
 def series_of(values: Floats, covariance: Floats, temperature: Floats) -> Series:

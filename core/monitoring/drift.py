@@ -72,7 +72,7 @@ HANDFUL = 6
 STEPS, RAMPS = (1, 2), (8, 32, 128, 512, 2048)
 #: Part of false alarms that T^2 may have; the parameters have the rest.
 JOINT = 0.1
-#: Probability below which one night confirms another, and an old change is still there.
+#: Probability, times the number of tests, below which the night before confirms a drift.
 CONFIRMED = 0.01
 #: Least ratio of the changes of two nights that show the same one, along their mean. A night
 #: without a change has none of it on average, so that half is as far from either.
@@ -385,7 +385,7 @@ class _Watch:
                 self.joint[run] = -ndtri(min(max(least, 1e-300), 1.0 - 1e-16))
                 self.evidence = found
             tests = np.flatnonzero(pair < self.limit)
-            agree = tests.size and night and self._confirms(found, night - 1, found, night, tests)
+            agree = tests.size and night and self._confirms(found, night - 1, found, night)
             if agree and not (learning and not self._large(found, 1, night)):
                 places = found.parameters(night, slice(1, 2), self.limit)
                 before = int(found.rows[place - 1])
@@ -401,7 +401,7 @@ class _Watch:
                     return None
                 kept = np.delete(found.rows, place)
                 other = self._weigh(kept, first, learning)
-                if self._confirms(found, night, other, night, tests):
+                if self._confirms(found, night, other, night):
                     return replace(alarm, run=int(found.rows[place + 1]))
                 self.left_out.append(run)
                 found = other
@@ -423,14 +423,11 @@ class _Watch:
             (np.abs(found.change[window, night]) >= AT_ONCE * max(1.0, found.scatter)).any()
         )
 
-    def _confirms(
-        self, found: _Evidence, night: int, other: _Evidence, after: int, tests: Integers
-    ) -> bool:
-        """Whether the run after a night shows the same change: in one of the tests, and in size."""
-        likely = (other.probabilities[0, after, tests] < CONFIRMED).any()
+    def _confirms(self, found: _Evidence, night: int, other: _Evidence, after: int) -> bool:
+        """Whether the run after a night shows the same change."""
         one, two = found.white[0, night], other.white[0, after]
         along = np.array([one, two]) @ (one + two)
-        return bool(likely and along.min() >= ALIKE * along.max())
+        return bool(along.min() >= ALIKE * along.max())
 
     def _return_of(self, alarm: _Alarm) -> int | None:
         """The second of the first two runs after an alarm that have less than half of the change;
