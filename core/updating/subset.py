@@ -52,26 +52,6 @@ class QrOrder:
     rank: int
 
 
-@dataclass(frozen=True, slots=True)
-class ForwardSelection:
-    """Columns that explain a residual, the one that explains most first.
-
-    order: (n_chosen,), positions of columns. misfits: (n_chosen + 1,), sum of squares that is left
-    before the first and after each. cosines: (n_chosen,), of the angle between what was left of
-    the residual and what the column added. n_parameters: of how many columns.
-    """
-
-    order: Integers
-    misfits: Floats
-    cosines: Floats
-    n_parameters: int
-
-    @property
-    def explained(self) -> float:
-        """The share of the residual's square that the chosen columns explain together."""
-        return float(1.0 - self.misfits[-1] / self.misfits[0]) if self.misfits[0] > 0.0 else 0.0
-
-
 def qr_order(sensitivity: Floats) -> QrOrder:
     """Columns in the order of QR with pivoting. Raises CampaignError.
 
@@ -97,8 +77,11 @@ def forward_selection(
     most: int | None = None,
     lower: ArrayLike = -np.inf,
     upper: ArrayLike = np.inf,
-) -> ForwardSelection:
-    """Columns that explain the residual, until the next would explain too little.
+) -> tuple[Integers, Floats]:
+    """Return the columns that explain the residual, until the next would explain too little.
+
+    These are their positions (n_chosen,), the one that explains most first, and the sum of squares
+    (n_chosen + 1,) that is left before the first and after each.
 
     sensitivity: (n_residuals, n_parameters), residual: (n_residuals,), both weighted; least_gain:
     share of the first misfit that a column must explain; most: how many are chosen at most;
@@ -115,7 +98,7 @@ def forward_selection(
     small = np.asarray(np.linalg.qr(np.column_stack([sensitivity, residual]), mode="r"))
     columns, target = small[:, :n], small[:, n]
     chosen: list[int] = []
-    misfits, cosines = [float(target @ target)], []
+    misfits = [float(target @ target)]
     limit = min(most if most is not None else n, n, sensitivity.shape[0])
     while len(chosen) < limit and misfits[-1] > 0.0:
         others = [place for place in range(n) if place not in chosen]
@@ -124,12 +107,9 @@ def forward_selection(
         gain = misfits[-1] - left[best]
         if gain < least_gain * misfits[0] or gain <= 1e-14 * misfits[0]:
             break
-        cosines.append(float(np.sqrt(gain / misfits[-1])))
         misfits.append(left[best])
         chosen.append(others[best])
-    return ForwardSelection(
-        np.array(chosen, dtype=np.int64), np.array(misfits), np.array(cosines), n
-    )
+    return np.array(chosen, dtype=np.int64), np.array(misfits)
 
 
 def _misfit(

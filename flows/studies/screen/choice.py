@@ -162,7 +162,7 @@ def _helpful(
     if not apart:
         return [], ()
     columns = candidates.weighted[:, apart]
-    found = forward_selection(
+    chosen, misfits = forward_selection(
         columns,
         candidates.weighted_residual,
         LEAST_GAIN,
@@ -170,9 +170,9 @@ def _helpful(
         candidates.lower[apart],
         candidates.upper[apart],
     )
-    first = float(found.misfits[0])
-    shares = found.misfits / first if first > 0.0 else np.zeros(1)
-    order = [apart[column] for column in found.order.tolist()]
+    first = float(misfits[0])
+    shares = misfits / first if first > 0.0 else np.zeros(1)
+    order = [apart[column] for column in chosen.tolist()]
     for step, place in enumerate(order):
         reasons[place] = (
             f"reduces the squared residual from {percent(shares[step])} % to "
