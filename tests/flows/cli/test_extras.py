@@ -29,7 +29,7 @@ def run_without(folder: Path, *arguments: str) -> subprocess.CompletedProcess[st
 
 
 def test_an_update_requires_no_extra(tmp_path: Path) -> None:
-    done = run_without(tmp_path, "update", "campaign.yaml")
+    done = run_without(tmp_path, "update", "campaign.yaml", "--set", "update.starts=1")
     assert done.returncode == 0, done.stderr
     assert "requires" not in done.stderr
     assert (tmp_path / "runs" / "six-mass" / "report.html").is_file()
@@ -56,7 +56,7 @@ def test_the_python_api_says_which_extra_it_requires(tmp_path: Path) -> None:
     shutil.copytree(SIX_MASS, tmp_path, dirs_exist_ok=True)
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]!r})); import modetune\n"
-        "run = modetune.update('campaign.yaml', prefect=False)\n"
+        "run = modetune.update('campaign.yaml', settings={'update.starts': 1})\n"
         "print(len(run.parameters))\n"
         "modetune.sample('campaign.yaml', prefect=False)\n"
     )
