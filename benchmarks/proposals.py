@@ -128,7 +128,7 @@ def hidden_change(structure: Structure, kind: str, rng: Generator, mass: float) 
             value = float(np.exp(rng.uniform(np.log(1.0), np.log(300.0))))
             cards = f"*ELEMENT, TYPE=SPRING1, ELSET=HIDDEN\n999999, {node}\n"
             cards += f"*SPRING, ELSET=HIDDEN\n{component}\n"
-        cards += f"{value:.6g}\n"
+        cards += f"{value:.6e}\n"
         before, step, after = deck.partition("*STEP")
         text = before + cards + step + after
     about = f"{kind} {value:.4g} at {node}" + (f".{component}" if kind == "spring" else "")
@@ -139,7 +139,7 @@ def _yielding(structure: Structure, rng: Generator) -> Hidden:
     """The structure on springs, all translations of solids' nodes or one rotation of a stick."""
     deck = str(structure.deck)
     low, high = np.log(CLAMPED[structure.family])
-    value = f"{np.exp(rng.uniform(low, high)):.6g}"
+    value = f"{np.exp(rng.uniform(low, high)):.6e}"  # a whole number is no stiffness for ccx
     if deck.startswith("SOL"):
         component = int(rng.choice((5, 6)))
         others = "123456".replace(str(component), "")

@@ -131,7 +131,7 @@ def trust_lines(record: CampaignRecord) -> list[str]:
 
 def structure_lines(record: CampaignRecord) -> list[Text]:
     """Return the state of the structure over its runs, red where it has changed."""
-    if not record.state:
+    if not record.drift:
         return []
     style = OUTSIDE if record.state == "changed" else ""
     return [Text(f"structure: {record.drift}", style=style)]

@@ -60,13 +60,20 @@ class RunHistory:
             self.add(record, self.folder / PAGE)
 
     def concluded(self, record: CampaignRecord) -> tuple[CampaignRecord, Drift | None]:
-        """Return a finished record with its time and the state of the structure, and its drift."""
+        """Return a finished record with its time and the state of the structure, and its drift.
+
+        The first test of a structure has nothing to be compared with, so the record says nothing.
+        """
         record = replace(record, ended_at=time.time())
-        drift = drift_at(self.history, past_run(record, self.history), self.monitoring)
+        run = past_run(record, self.history)
+        drift = drift_at(self.history, run, self.monitoring)
         if drift is None:
             return record, None
+        first = len(self.history.until(run).nights()) == 1
         changed = tuple(item.name for item in drift.changes if item.changed)
-        found = replace(record, state=drift.state, drift=drift.sentence, changed=changed)
+        found = replace(
+            record, state=drift.state, drift="" if first else drift.sentence, changed=changed
+        )
         return found, drift
 
     def is_news(self, record: CampaignRecord) -> bool:

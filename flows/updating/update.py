@@ -501,8 +501,8 @@ def _update(
         record = joined(Updating(campaign, evaluator, forecaster or progress, keep).run())
         record, drift = history.concluded(record)
         keep(record)
-    if drift is not None:
-        logger.info("structure: %s", drift.sentence)
+    if record.drift:
+        logger.info("structure: %s", record.drift)
     logger.info("%s: %s", record.status, record.reason)
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")

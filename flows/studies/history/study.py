@@ -79,7 +79,8 @@ class StructureHistory:
     def _state(self) -> tuple[str, str]:
         if self.drift is not None:
             return self.drift.state, self.drift.sentence
-        return self.runs[-1].state or "unknown", self.runs[-1].drift or "Unknown"
+        state = self.runs[-1].state or "unknown"
+        return state, self.runs[-1].drift or state.capitalize()
 
 
 @dataclass(frozen=True)

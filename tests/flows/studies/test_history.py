@@ -144,7 +144,8 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> Structure:
     for night in (1, 2, 3):
         ended = structure.night(night, "--fail-on", "change")
         assert ended.returncode == 0, ended.stderr
-        assert f"structure: Learning: {night} of 30 runs" in ended.stdout
+        # Nothing is said of the first test, which has nothing to be compared with.
+        assert (f"structure: Learning: {night} of 30 runs" in ended.stdout) == (night > 1)
     ended = structure.night(4, "--fail-on", "change", "--json", k1=0.85)
     assert ended.returncode == 7, ended.stderr
     (structure.folder / "ended.json").write_text(ended.stdout)
