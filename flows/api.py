@@ -381,8 +381,8 @@ def history(
     """
     words = [of] if isinstance(of, Campaign | str | Path | Mapping) else list(of)
     given: dict[str, Any]
-    given = {"of": [_history_word(word) for word in words], "progress": False, "prefect": False}
-    given |= {"runs": runs, "csv": csv, "figures": figures, "page": page, "settings": settings}
+    given = {"of": [_campaign_path(word, None) for word in words], "runs": runs, "prefect": False}
+    given |= {"progress": False, "csv": csv, "figures": figures, "page": page, "settings": settings}
     found: StructureHistory | RunDifference = _found("history", given)
     return found
 
@@ -633,11 +633,6 @@ def _campaign_path(campaign: CampaignLike, folder: StrPath | None) -> Path:
     if isinstance(campaign, Mapping):
         return write_campaign(campaign, None if folder is None else Path(folder))
     return Path(campaign)
-
-
-def _history_word(word: CampaignLike) -> str:
-    """Return a campaign's file, or a path or date as it is."""
-    return str(word) if isinstance(word, str | Path) else str(_campaign_path(word, None))
 
 
 def _paths(paths: Paths) -> list[Path]:

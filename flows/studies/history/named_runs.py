@@ -47,7 +47,7 @@ class Named:
     two: tuple[NamedRun, NamedRun] | None = None
 
 
-def named(words: Sequence[str], runs: Path, settings: Sequence[str]) -> Named:
+def named(words: Sequence[Path], runs: Path, settings: Sequence[str]) -> Named:
     """Return what words name.
 
     One word is a campaign or a run folder. Dates after it are two of its runs; one date is compared
@@ -55,16 +55,17 @@ def named(words: Sequence[str], runs: Path, settings: Sequence[str]) -> Named:
     runs: the folder of run folders. Raises CampaignError, StoreDamaged.
     """
     first, *others = words
-    dates = [word for word in others if DATE.fullmatch(word)]
+    # Words arrive as absolute paths, since most are files and folders.
+    dates = [word.name for word in others if DATE.fullmatch(word.name) and not word.exists()]
     if others and len(dates) < len(others):
         if len(words) != 2 or dates:
             raise CampaignError(
                 "modetune history takes a campaign or run folder, alone or with one or two dates, "
                 "or two runs (files or folders)"
             )
-        two = (_run_of(Path(first), runs, settings), _run_of(Path(others[0]), runs, settings))
+        two = (_run_of(first, runs, settings), _run_of(others[0], runs, settings))
         return Named(History(), Path(), two=two)
-    folder, monitoring = run_folder(Path(first), runs, settings)
+    folder, monitoring = run_folder(first, runs, settings)
     history = read_history(folder)
     if not history.runs:
         reasons = [f"left out: {problem}" for problem in history.problems]

@@ -88,7 +88,7 @@ class HistoryOptions(StudyOptions):
     """Options of the history, which reads no model and no test."""
 
     of: Annotated[
-        tuple[str, ...],
+        tuple[Path, ...],
         typer.Argument(
             help="Campaign file or run folder, alone or with one or two dates (UTC) of its runs; "
             "or two runs: files of histories, records, or folders."
@@ -106,10 +106,10 @@ class HistoryOptions(StudyOptions):
         if not self.of:
             raise CampaignError("name a campaign: modetune history campaign.yaml")
         if len(self.of) == 1:
-            place, _ = run_folder(Path(self.of[0]), self.runs, self.settings or [])
+            place, _ = run_folder(self.of[0], self.runs, self.settings or [])
             name = place.resolve().name
         else:
-            name = " and ".join(Path(word).name for word in self.of)
+            name = " and ".join(word.name for word in self.of)
         return StudyContext(name, progress, folder=self.runs)
 
     @property

@@ -22,6 +22,7 @@ from modetune.core.monitoring.past_runs import FOLDER, PAST_RUN, add_past_run, r
 from modetune.core.storage.campaign_record import read_record
 from modetune.flows.report.headline import headline
 from modetune.flows.report.page import page
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.history.differences import RunDifference
 from modetune.flows.studies.history.study import StructureHistory
 from tests.command_line import run_command
@@ -282,6 +283,15 @@ def test_words_that_name_no_run_are_refused(
     ended = watched.run("history", *words)
     assert ended.returncode == 2
     assert said in ended.stderr
+
+
+def test_a_server_knows_which_files_the_words_name(tmp_path: Path) -> None:
+    """A worker takes no study of files outside its folders (`flows/server/permission`)."""
+    study = find_study("history")
+    words = [str(tmp_path / "campaign.yaml"), "2026-11-27"]
+    checked = study.checked({"of": words, "page": "history.html"})
+    assert tmp_path / "campaign.yaml" in study.paths(checked)
+    assert all(path.is_absolute() for path in study.paths(checked))
 
 
 def test_a_campaign_without_a_run_is_refused(tmp_path: Path) -> None:
