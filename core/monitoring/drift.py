@@ -434,6 +434,7 @@ class _Watch:
         None where the change is still there."""
         counted = self._counted()
         before, after = counted[counted < alarm.start], counted[counted > alarm.run]
+        before = before[-2 * self.learning :]  # enough for what is usual, and each pair costs less
         if before.size < HANDFUL or not alarm.white.size:
             return None
         for place in range(1, after.size):
