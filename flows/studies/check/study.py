@@ -82,6 +82,10 @@ class CheckOptions(StudyOptions):
             raise CampaignError("--against needs a solver run; with --record nothing is run")
         if self.fail_on is not None and self.against is None:
             raise CampaignError("--fail-on judges an update; name its record with --against")
+        if self.fail_on == "change":
+            raise CampaignError(
+                "--fail-on change judges the runs of a structure: give it to `modetune update`"
+            )
         from modetune.flows.campaign.campaign import load_campaign
         from modetune.flows.campaign.sketch import open_model
 

@@ -500,3 +500,9 @@ def test_a_modulus_that_fell_is_found_through_calculix(tmp_path: Path) -> None:
     # 0.2 % of four frequencies leaves the modulus 0.2 %: half the deviation times two.
     assert history.runs[-1].repeatability / 210000.0 == pytest.approx(0.002, rel=0.3)
     assert history.runs[-1].values / 210000.0 == pytest.approx(0.85, abs=0.008)
+
+
+def test_a_check_cannot_fail_on_a_change(watched: Structure) -> None:
+    given = ["--against", "runs/six/campaign.h5", "--fail-on", "change"]
+    ended = run_command(watched.folder, "check", "campaign.yaml", *given)
+    assert (ended.returncode, "give it to `modetune update`" in ended.stderr) == (2, True)
