@@ -3,7 +3,7 @@
 **A change in time.** The values of night k are v_k = reference + slopes^T x_k + change_k + noise_k,
 with x_k the environment and a noise whose covariance is that of the test, widened to what the
 nights show, and correlated in time (night_noise.py). From a possible start to tonight the change is
-a step over 1 or 2 nights (the chart of Shewhart 1931) or a ramp over 8, 32, 128, ... nights (a
+a step over 1 or 2 nights (the chart of Shewhart 1931) or a ramp over 8, 32 or 128 nights or all (a
 drift). For each start the change is fitted together with reference and slopes to all nights so
 far, and divided by its error. That is the generalised likelihood ratio of Willsky and Jones (1976);
 over all starts it is the two-sided CUSUM of Page (1954) for a change of unknown size, and few
@@ -69,7 +69,7 @@ AT_ONCE = 10.0
 HANDFUL = 6
 #: Nights of the windows: steps, and ramps. A ramp of half or twice the true length keeps more than
 #: 0.85 of the evidence in white noise.
-STEPS, RAMPS = (1, 2), (8, 32, 128, 512, 2048)
+STEPS, RAMPS = (1, 2), (8, 32, 128, 512)
 #: Part of false alarms that T^2 may have; the parameters have the rest.
 JOINT = 0.1
 #: Probability, times the number of tests, below which the night before confirms a drift.
@@ -84,7 +84,7 @@ SUBSTANTIAL = 3.0
 #: A law of noise is left out where it is less likely than the best by this.
 NEGLIGIBLE = 1e-6
 #: Number of nights, in addition to the learning nights, that are looked back on.
-MEMORY = 500
+MEMORY = 250
 
 
 @dataclass(frozen=True, slots=True)
@@ -500,9 +500,12 @@ class _Watch:
         kept = sizes > EXACT * sizes[-1]
         root = vectors[:, kept] * np.sqrt(sizes[kept])
         inverse = (vectors[:, kept] / np.sqrt(sizes[kept])).T
-        extra = inverse @ (covariances + doubt) @ inverse.T - np.eye(len(inverse))
-        extra = _positive(extra)
-        weights = np.sqrt(1.0 + np.trace(extra, axis1=1, axis2=2) / len(inverse))
+        usual_noise = np.eye(len(inverse))
+        worse = _positive(inverse @ covariances @ inverse.T - usual_noise)
+        # What the environment may explain enters the errors of changes. It does not lower the
+        # weight of a night: the scatter would seem small where it explains nothing.
+        weights = np.sqrt(1.0 + np.trace(worse, axis1=1, axis2=2) / len(inverse))
+        extra = _positive(inverse @ (covariances + doubt) @ inverse.T - usual_noise)
         nights = _Nights(
             rows,
             night_positions(series.times[rows]),
