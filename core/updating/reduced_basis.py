@@ -275,6 +275,8 @@ def _turn(inverted: Floats, seen: Floats, close: NDArray[np.bool_], shapes: Floa
     some of them too (orthogonal Procrustes: Schoenemann 1966). seen: (n_rows, r).
     """
     turn, alone = np.zeros(close.shape), np.flatnonzero(close.sum(axis=0) == 1)
+    if not alone.size and not close.any():
+        return turn
     own = close[:, alone].argmax(axis=0)
     turn[own, alone] = np.where((seen[:, own] * shapes[:, alone]).sum(axis=0) < 0.0, -1.0, 1.0)
     for members in np.unique(np.delete(close, alone, axis=1), axis=1).T:

@@ -232,7 +232,7 @@ def _paired(
     others = np.zeros(0) if case.held_out is None else case.held_out.modes.frequencies_hz
     drop = drop or (rules.drop and not test.has_shapes)  # more modes would not change the order
     pairing = first_pairing(test, seen, rules, resolution, others, drop)
-    if test.modes.n_modes and not pairing.measured.size:
+    if test.modes.n_modes and not pairing.measured.size and not case.compared:
         raise ModesError(
             "no measured mode has a partner among the computed modes, and `test.unmatched: drop` "
             "leaves out all of them: check the sensors' nodes and directions, and the units"
@@ -389,7 +389,9 @@ def at_sensors(case: Case, part: CaseEvaluation, derivatives: ModeDerivatives) -
     observer = case.sensors.matrix(modes.nodes, modes.components)
     shapes = derivatives.mode_shapes
     seen = observer @ shapes.reshape(shapes.shape[0], -1)
-    return replace(derivatives, mode_shapes=np.asarray(seen).reshape(-1, *shapes.shape[1:]))
+    return replace(
+        derivatives, mode_shapes=np.asarray(seen).reshape(seen.shape[0], *shapes.shape[1:])
+    )
 
 
 @dataclass(slots=True)

@@ -216,9 +216,7 @@ def test_a_weighing_tells_thicknesses_of_shells_by_calculix(tmp_path: Path, held
     )
     edge = "*BOUNDARY\n1, 1, 6\n5, 1, 6\n9, 1, 6\n" if held else mounts
     (tmp_path / "part.inp").write_text(shells("S4", held="") + strip(3.0) + edge)
-    (tmp_path / "test.csv").write_text(
-        f"mode,1,2\nfrequency_hz,{'926,4794' if held else '100,200'}\n"
-    )
+    (tmp_path / "test.csv").write_text("mode,1,2\nfrequency_hz,100,200\n")
     (tmp_path / "part.yaml").write_text(SHELLS)
     ended = run_command(tmp_path, "update", "part.yaml", "--json")
     if held:
