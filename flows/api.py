@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from modetune.flows.studies.direct.request import DirectMethod, Filling
     from modetune.flows.studies.expand.expansion import Expansions
     from modetune.flows.studies.expand.request import ExpansionMethod
+    from modetune.flows.studies.fleet.watched_structures import WatchedStructure
     from modetune.flows.studies.history.differences import RunDifference
     from modetune.flows.studies.history.study import StructureHistory
     from modetune.flows.studies.localise.localisation import Localisation
@@ -384,6 +385,25 @@ def history(
     given = {"of": [_campaign_path(word, None) for word in words], "runs": runs, "prefect": False}
     given |= {"progress": False, "csv": csv, "figures": figures, "page": page, "settings": settings}
     found: StructureHistory | RunDifference = _found("history", given)
+    return found
+
+
+def fleet(
+    of: StrPath | Sequence[StrPath],
+    runs: StrPath = "runs",
+    *,
+    page: StrPath | None = None,
+    settings: Settings = (),
+) -> tuple[WatchedStructure, ...]:
+    """Return many structures with their newest runs, the worst first.
+
+    of: campaign files, run folders, folders of run folders, or patterns of these.
+    """
+    words = [of] if isinstance(of, str | Path) else list(of)
+    given: dict[str, Any]
+    given = {"of": [Path(word) for word in words], "runs": runs, "page": page}
+    given |= {"prefect": False, "progress": False, "settings": settings}
+    found: tuple[WatchedStructure, ...] = _found("fleet", given)
     return found
 
 

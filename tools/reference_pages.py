@@ -55,6 +55,7 @@ modetune sensors campaign.yaml     # find the node and direction of each sensor
 modetune check campaign.yaml       # report every problem, then compare model and test
 modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
 modetune history campaign.yaml     # the runs of a structure over time, and whether it changed
+modetune fleet runs                # the newest run of many structures, worst first
 modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used
 modetune view campaign.yaml        # follow the campaign in a browser
 modetune report runs/garteur       # write the report again, or its figures as PNG or SVG

@@ -37,6 +37,8 @@ from modetune.core.updating.verdict import TrustVerdict
 FOLDER = "history"
 #: Digits of the evidence in a file's name.
 SHORT = 8
+#: Files among which the newest run is looked for, as a clock may have gone back.
+NEWEST = 3
 #: Significant digits of parameters in the evidence: an answer that is computed again on other
 #: threads differs by rounding, which the condition of the last step enlarges.
 DIGITS = 6
@@ -199,6 +201,26 @@ def read_history(folder: Path) -> History:
         else:
             found.setdefault(run.evidence, run)  # of two writers at once
     return History(tuple(sorted(found.values(), key=_order)), tuple(problems))
+
+
+def newest_run(folder: Path) -> tuple[PastRun | None, int, str]:
+    """Return the newest run of a run folder, the number of its files, and what could not be read.
+
+    Reads a few files, the newest by their names. Raises CampaignError, StoreDamaged for the newest
+    file where none can be read.
+    """
+    files = sorted((folder / FOLDER).glob("*.h5"), reverse=True)
+    found: list[PastRun] = []
+    problem: CampaignError | StoreDamaged | None = None
+    for file in files[:NEWEST]:
+        try:
+            found.append(PAST_RUN.read(file))
+        except (CampaignError, StoreDamaged) as error:
+            problem = problem or error
+    if problem is not None and not found:
+        raise problem
+    newest = max(found, key=_order, default=None)
+    return newest, len(files), "" if problem is None else f"left out: {problem}"
 
 
 def add_past_run(folder: Path, run: PastRun) -> Path:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -78,7 +78,7 @@ class Table:
     """A table: columns, rows of values, and summary rows in the foot.
 
     outside has the row and the column's name of each value outside its tolerance; the name ""
-    marks the whole row.
+    marks the whole row. links: addresses, by the row whose first cell leads there on a page.
     """
 
     title: str
@@ -86,6 +86,7 @@ class Table:
     rows: tuple[tuple[Any, ...], ...]
     foot: tuple[tuple[Any, ...], ...] = ()
     outside: frozenset[tuple[int, str]] = frozenset()
+    links: Mapping[int, str] = dataclasses.field(default_factory=dict)
 
     def is_outside(self, row: int, column: Column) -> bool:
         return bool({(row, column.name), (row, "")} & self.outside)

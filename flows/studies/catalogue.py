@@ -24,6 +24,7 @@ STUDIES = {
     "update": ("update", DAY),
     "compare": ("compare.study", STUDY),
     "history": ("history.study", DAY),
+    "fleet": ("fleet.study", DAY),
     "expand": ("expand.study", MODEL),
     "reduce": ("reduce.study", MODEL),
     "direct": ("direct.study", MODEL),

@@ -1,0 +1,1 @@
+"""Many structures on one page, worst first."""

@@ -1,0 +1,145 @@
+"""`modetune fleet`: the newest state of many structures, worst first."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modetune.core.errors import CampaignError
+from modetune.flows.report.tables import Column, Table, json_object
+from modetune.flows.studies.result import StudyResult, near
+from modetune.flows.studies.study import Page, Runs, StudyContext, StudyOptions, study
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modetune.flows.campaign.campaign import Campaign
+    from modetune.flows.studies.fleet.watched_structures import WatchedStructure
+    from modetune.flows.updating.forecast import Progress
+
+#: Rows of the table on a terminal; a page has all.
+SHOWN = 40
+COLUMNS = (
+    Column("structure", words=True, name="name"),
+    Column("state", words=True, name="state"),
+    Column("remark", words=True, name="remark"),
+    Column("parameters", words=True, name="verdict"),
+    Column("status", words=True, name="status"),
+    Column("largest frequency error", "%", ".2f", name="error"),
+    Column("newest run (UTC)", words=True, name="at"),
+    Column("runs", name="runs"),
+)
+
+
+@dataclass(frozen=True)
+class FleetOptions(StudyOptions):
+    """Options of the fleet, which reads histories and no model."""
+
+    of: Annotated[
+        tuple[Path, ...],
+        typer.Argument(
+            help="Campaign files, run folders, folders of run folders, or patterns of these."
+        ),
+    ]
+    page: Page = None
+    runs: Runs = Path("runs")
+
+    def open(self, progress: Progress, campaign: Campaign | None) -> StudyContext:
+        from modetune.flows.report.page import check_page
+
+        check_page(self.page)
+        if not self.of:
+            raise CampaignError("name run folders or campaigns: modetune fleet runs")
+        return StudyContext("fleet", progress, folder=self.runs)
+
+    @property
+    def solves(self) -> bool:
+        return False
+
+
+@study(FleetOptions)
+def fleet(on: StudyContext, options: FleetOptions) -> StudyResult:
+    """Show the newest run of many structures in one table, worst first.
+
+    Reads the histories that `modetune update` writes, and runs nothing. Structures with the same
+    parameters are compared: the remark names those out of the family.
+    """
+    from modetune.flows.studies.fleet.watched_structures import fleet_of
+
+    found = fleet_of(options.of, on.folder)
+    states = Counter("without a run" if item.run is None else item.run.state for item in found)
+    known = ("changed", "without a run", "unknown", "learning", "steady")
+    counts = ", ".join(f"{states[name]} {name}" for name in known if states[name])
+    sentence = f"{len(found)} structure{'' if len(found) == 1 else 's'}: {counts}"
+    return StudyResult(
+        found,
+        sentence,
+        json_object(status="done", sentence=sentence, structures=[_json(item) for item in found]),
+        [_table(found, options.page)],
+        [sentence],
+        status="done",
+        shown=partial(_show, found, sentence),
+    )
+
+
+def _show(found: tuple[WatchedStructure, ...], sentence: str, console: Console) -> None:
+    """Print the worst structures."""
+    from modetune.flows.report.tables import show
+
+    more = len(found) - SHOWN
+    lines = [f"{more} more structures: see --page or --json"] if more > 0 else []
+    show([_table(found[:SHOWN], None), *lines, sentence], console)
+
+
+def _table(found: tuple[WatchedStructure, ...], page: Path | None) -> Table:
+    """Return a row a structure; page: from which reports are linked."""
+    links = {}
+    for place, item in enumerate(found):
+        if page is not None and item.report is not None:
+            links[place] = Path(os.path.relpath(item.report, page.resolve().parent)).as_posix()
+    changed = [
+        place for place, item in enumerate(found) if item.run is None or item.run.state == "changed"
+    ]
+    rows = tuple(_row(item) for item in found)
+    outside = frozenset((place, "") for place in changed)
+    return Table("Structures, worst first", COLUMNS, rows, outside=outside, links=links)
+
+
+def _row(item: WatchedStructure) -> tuple[Any, ...]:
+    from modetune.flows.studies.history.trends import largest_error
+
+    run = item.run
+    if run is None:
+        return item.name, "no run", item.problem, "", "", float("nan"), "", item.n_runs
+    said = run.drift if run.state in ("changed", "unknown") else ""
+    remark = "; ".join(filter(None, (said, *item.odd, item.problem)))
+    return (
+        item.name,
+        run.state or "unknown",
+        remark,
+        run.verdict.brief,
+        run.status.replace("_", " "),
+        largest_error(run),
+        run.at[:16].replace("T", " "),
+        item.n_runs,
+    )
+
+
+def _json(item: WatchedStructure) -> dict[str, Any]:
+    from modetune.flows.studies.history.study import run_json
+
+    return json_object(
+        name=item.name,
+        run_dir=near(item.folder),
+        runs=item.n_runs,
+        problem=item.problem,
+        out_of_family=item.odd,
+        newest=None if item.run is None else run_json(item.run),
+        report=None if item.report is None else near(item.report),
+    )
