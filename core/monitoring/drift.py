@@ -744,7 +744,7 @@ def _averaged(fits: list[_LawFit], priors: Floats, p: int) -> tuple[Floats, Floa
         logsumexp(sums, axis=0) - logsumexp(own[:, :, p:], axis=0).sum(axis=1)
     )
     joint = np.sum(weights * np.array([fit.joint for fit in fits]), axis=0)
-    # Where axes have laws of their own, the least of their probabilities, times their number.
+    # Where each axis has its law, the least of their probabilities, times their number.
     least = np.minimum(r * np.min(np.sum(apart * single, axis=0)[:, p:], axis=1), 1.0)
     both = alike_all * joint + (1.0 - alike_all) * least
     return np.column_stack([found[:, :p], both]), weights

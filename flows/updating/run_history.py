@@ -142,7 +142,7 @@ def kept_folder(folder: Path, run: PastRun) -> Path | None:
 
 
 def _keep_files(folder: Path, run: PastRun, page: Path | None, keep: int) -> None:
-    """Put record, report and deck of the newest run into a folder of their own."""
+    """Put record, report and deck of the newest run into a folder."""
     place = folder / FOLDER / run.stem
     part = place.with_name(f".{run.stem}.part")
     with storage_errors(place):

@@ -1,4 +1,4 @@
-"""Supports and rigid links that may yield: the model without them, from a matrix job of its own."""
+"""Supports and rigid links that may yield: the model without them, from further matrix jobs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SUPPORTS, LINKS, MOTIONS = 8, 12, 24
 #: Times that the forces of the rest add motions: three gave 96 % of a spring's stiffness at each of
 #: 70 nodes, one 64 %.
 BLOCKS = 3
-#: The free model tied again is the constrained one but for the rounding of printed matrices.
+#: The free model tied again is the constrained one, except for the rounding of printed matrices.
 TIED = 1e-5
 #: Motions that depend on others to this share of their length are left out.
 DEPENDENT = 1e-6
