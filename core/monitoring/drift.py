@@ -278,7 +278,8 @@ class _Watch:
             learned = learned[learned < alarm.start]
         elif 1 < learned.size == self._counted().size:
             learned = learned[:-1]  # the last run is compared with those before it
-        environment = self._environment(learned) if learned.size else None
+        counts = learned.size and self.watched.size
+        environment = self._environment(learned) if counts else None
         changes = self._changes(environment)
         state, sentence = self._state(alarm, changes)
         if alarm is not None:

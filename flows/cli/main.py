@@ -17,6 +17,7 @@ import re
 import signal
 import sys
 import tempfile
+import threading
 import traceback
 import warnings
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
 from types import EllipsisType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,6 +34,11 @@ from modetune.core.errors import ModetuneError, SolverExhausted
 from modetune.flows.extras import named_extras
 from modetune.flows.studies.catalogue import DAY, MODEL, STUDIES, STUDY, find_study
 
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+#: Seconds until Ctrl-C is sent again; the callback that dropped it has ended by then.
+AGAIN_S = 0.05
 #: Commands under the headings of `--help`; `...` is the place of the heading's studies. A study's
 #: command is derived from its definition, any other is in the module of its name.
 HEADINGS: dict[str, tuple[str | EllipsisType, ...]] = {
@@ -183,12 +189,34 @@ def _quiet() -> None:
     warnings.simplefilter("ignore")
 
 
+def again_if_dropped(
+    before: Callable[[UnraisableHookArgs], Any],
+) -> Callable[[UnraisableHookArgs], Any]:
+    """Return a hook that sends Ctrl-C again where Python drops it.
+
+    An exception in a callback of a weak reference, or in a finalizer, goes to
+    `sys.unraisablehook` and no further: the command would go on as if nobody had stopped it.
+    before: the hook for all other exceptions.
+    """
+
+    def hook(found: UnraisableHookArgs) -> None:
+        if found.exc_type is KeyboardInterrupt:
+            again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
+            again.daemon = True
+            again.start()
+        else:
+            before(found)
+
+    return hook
+
+
 def main() -> None:
     """Run the command line and end the process with its exit code."""
     _quiet()
     gc.set_threshold(10_000, 10, 10)  # imported objects stay, so collect less often
     atexit.register(gc.freeze)  # ... and never when the process ends
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends like Ctrl-C
+    sys.unraisablehook = again_if_dropped(sys.unraisablehook)
     try:
         sys.argv[1:] = _current(sys.argv[1:])
         command: Any = typer.main.get_command(command_line(*sys.argv[1:3]))

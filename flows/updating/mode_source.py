@@ -567,7 +567,7 @@ class ModeRequest:
             if wrong or before is not None or not state.case.rules.drop:
                 raise _lost(error, found) from error
             part = self.compared(key, modal, before, drop=True)
-        if before is None:
+        if before is None and part.solved_by != REDUCED:  # searches begin at many points
             _warn_dropped(state.case, part.pairing)
         return part
 

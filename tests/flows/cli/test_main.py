@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import json
+import sys
+import time
+import weakref
 from pathlib import Path
 
 import pytest
 import typer
 
 from modetune.flows.cli import main as main_module
-from modetune.flows.cli.main import GROUPS, OLD_SPELLINGS, app, command_line
+from modetune.flows.cli.main import (
+    GROUPS,
+    OLD_SPELLINGS,
+    again_if_dropped,
+    app,
+    command_line,
+)
 from tests.command_line import run_command
 
 
@@ -77,3 +86,24 @@ def test_a_long_value_is_shortened_in_messages(tmp_path: Path) -> None:
 def test_a_named_command_comes_alone() -> None:
     named = typer.main.get_command(command_line("store", "explain"))
     assert list(named.commands["store"].commands) == ["explain"]  # type: ignore[attr-defined]
+
+
+class Thing:
+    """Something that can be watched."""
+
+
+def test_ctrl_c_inside_a_callback_of_python_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: object) -> None:
+        raise KeyboardInterrupt
+
+    def work() -> None:
+        things.clear()
+        for _ in range(1000):  # ten seconds
+            time.sleep(0.01)
+
+    monkeypatch.setattr(sys, "unraisablehook", again_if_dropped(sys.unraisablehook))
+    things = [Thing()]
+    watched = weakref.ref(things[0], interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert watched() is None
