@@ -237,6 +237,8 @@ def test_missing_results_and_equal_times_keep_their_place() -> None:
         "Unknown: the last run does not determine all parameters",
     )
     assert find_drift(replace(series, values=np.full((50, 3), np.nan))).state == "unknown"
+    # Of a parameter on a bound the test determines nothing: its variance is zero.
+    assert find_drift(replace(series, covariances=np.zeros((50, 3, 3)))).state == "unknown"
 
 
 def test_more_structures_and_fewer_false_alarms_raise_the_limit() -> None:
