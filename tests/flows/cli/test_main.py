@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import time
 import weakref
@@ -104,6 +105,11 @@ def test_ctrl_c_inside_a_callback_of_python_is_not_lost(monkeypatch: pytest.Monk
     monkeypatch.setattr(sys, "unraisablehook", again_if_dropped(sys.unraisablehook))
     things = [Thing()]
     watched = weakref.ref(things[0], interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        work()
+    # A shell starts programs in the background with the signal ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert watched() is None
