@@ -44,6 +44,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import fdtrc, logsumexp, multigammaln, ndtri, stdtr
 
 from modetune.core.brief import brief
@@ -278,8 +279,8 @@ class _Watch:
             learned = learned[learned < alarm.start]
         elif 1 < learned.size == self._counted().size:
             learned = learned[:-1]  # the last run is compared with those before it
-        counts = learned.size and self.watched.size
-        environment = self._environment(learned) if counts else None
+        any_known = learned.size > 0 and self.watched.size > 0
+        environment = self._environment(learned) if any_known else None
         changes = self._changes(environment)
         state, sentence = self._state(alarm, changes)
         if alarm is not None:
@@ -533,24 +534,12 @@ def _evidence(nights: _Nights, first: int, learning: bool) -> _Evidence:
     values, axes = np.linalg.eigh(learned.covariance)
     to_axes = (axes / np.sqrt(values)).T
     back = nights.root @ (axes * np.sqrt(values))
-    alone = to_axes @ nights.inverse
-    lengths = np.linalg.norm(alone, axis=0)
-    p = lengths.size
-    directions = np.hstack([alone / np.where(lengths > 0.0, lengths, 1.0), np.eye(r)])
-    turned = to_axes @ nights.extra @ to_axes.T
-    noise = 1.0 + np.einsum("ip,kij,jp->kp", directions, turned, directions)
-    noise = noise / nights.sizes[:, None] ** 2
+    directions, noise, tested = _directions(nights, to_axes)
+    p = tested.size
     law_places = _plausible(laws, whitened, to_axes, looks)
     looks = looks[1:]
     watched = looks + 1 - first
-    windows = [(length, False) for length in STEPS]
-    if not learning:
-        shorter = (0, *RAMPS)
-        windows += [
-            (length, True)
-            for length, before in zip(RAMPS, shorter, strict=False)
-            if before < watched.max(initial=0)
-        ]
+    windows = _windows(int(watched.max(initial=0)), learning)
     probabilities = np.full((len(windows), looks.size, p + 1), np.inf)
     change, own = np.zeros((2, len(windows), looks.size, p))
     white = np.zeros((len(windows), looks.size, r))
@@ -575,7 +564,7 @@ def _evidence(nights: _Nights, first: int, learning: bool) -> _Evidence:
         ]
         priors = np.log([laws[place].prior for place in law_places])
         found, weights = _averaged(fits, priors, p)
-        found[:, :p][:, lengths == 0.0] = np.inf
+        found[:, :p][:, ~tested] = np.inf
         probabilities[window] = np.where(there[:, None], found, np.inf)
         changes = np.array([fit.change for fit in fits])
         mean = np.einsum("lk,lkr->kr", weights, changes)
@@ -586,9 +575,7 @@ def _evidence(nights: _Nights, first: int, learning: bool) -> _Evidence:
         own[window] = change[window] / np.where(errors > 0.0, errors, np.inf)
         if window == 0 and looks.size:
             lags = np.array([laws[place].lag_correlation for place in law_places])
-            average = weights[:, -1] @ lags
-            error = np.sqrt(weights[:, -1] @ np.square(lags - average))
-            lag_correlation = (float(average), float(error))
+            lag_correlation = _mean_and_error(lags, weights[:, -1])
     share = np.append(np.full(p, (1.0 - JOINT) / p), JOINT)
     scatter = float(np.sqrt(np.mean(np.diag(learned.covariance))))
     return _Evidence(
@@ -603,6 +590,33 @@ def _evidence(nights: _Nights, first: int, learning: bool) -> _Evidence:
         lag_correlation,
         scatter,
     )
+
+
+def _windows(watched: int, learning: bool) -> list[tuple[int, bool]]:
+    """Return length and whether a ramp of each window. watched: nights behind the learning ones."""
+    windows = [(length, False) for length in STEPS]
+    if learning:
+        return windows
+    shorter = (0, *RAMPS)
+    ramps = zip(RAMPS, shorter, strict=False)
+    return [*windows, *((length, True) for length, before in ramps if before < watched)]
+
+
+def _directions(nights: _Nights, to_axes: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return directions (r, p + r) of the parameters alone and of the axes, the variance of each
+    night's noise along them (n, p + r), and whether a parameter has a direction (p,)."""
+    alone = to_axes @ nights.inverse
+    lengths = np.linalg.norm(alone, axis=0)
+    axes = np.eye(nights.values.shape[1])
+    directions = np.hstack([alone / np.where(lengths > 0.0, lengths, 1.0), axes])
+    turned = to_axes @ nights.extra @ to_axes.T
+    noise = 1.0 + np.einsum("ip,kij,jp->kp", directions, turned, directions)
+    return directions, noise / nights.sizes[:, None] ** 2, lengths > 0.0
+
+
+def _mean_and_error(values: Floats, weights: Floats) -> tuple[float, float]:
+    average = weights @ values
+    return float(average), float(np.sqrt(weights @ np.square(values - average)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -246,34 +246,14 @@ def past_run(record: CampaignRecord, history: History) -> PastRun:
     )
     unknown = np.full((n, n), np.nan)
     covariance = record.covariance if record.covariance.size else unknown
-    test = record.test.modes
-    digest, first = digest_test(record), record.iterations[0]
-    label = record.configurations or ("",) * len(record.test.numbers)
-    modes = tuple(
-        mode_name(number, of).removeprefix("mode ")
-        for number, of in zip(record.test.numbers, label, strict=True)
-    )
-    best = record.best.pairing
-    updated_hz, macs = np.full((2, len(modes)), np.nan)
-    elastic_modes = np.zeros(len(modes), dtype=np.int64)
-    updated_hz[best.measured] = record.best.computed.frequencies_hz[best.computed]
-    macs[best.measured] = best.judged_mac
-    elastic_modes[best.measured] = best.computed + 1
+    test, digest = record.test.modes, digest_test(record)
+    modes = _mode_labels(record)
+    updated_hz, macs, elastic_modes = _partners(record)
     return PastRun(
         number=max((run.number for run in history.runs), default=0) + 1,
         name=record.name,
         ended_at=record.ended_at,
-        evidence=_digest(
-            [
-                digest,
-                first.modal_key,
-                *(f"{name} {value!r}" for name, value in sorted(record.environment.items())),
-                *record.parameters.names,
-                *(f"{value:.{DIGITS - 1}e}" for value in values.tolist()),
-                record.status,
-                record.verdict.name,
-            ]
-        ),
+        evidence=_evidence_of(record, digest, values),
         test_digest=digest,
         status=record.status,
         reason=record.reason,
@@ -299,12 +279,46 @@ def past_run(record: CampaignRecord, history: History) -> PastRun:
         elastic_modes=elastic_modes,
         environment=dict(record.environment),
         deck_digest=record.deck_digest,
-        modal_key=first.modal_key,
+        modal_key=record.iterations[0].modal_key,
         settings=record.settings,
         solver=record.solver,
         solver_version=record.solver_version,
         modetune_version=record.modetune_version,
         versions=record.versions,
+    )
+
+
+def _mode_labels(record: CampaignRecord) -> tuple[str, ...]:
+    label = record.configurations or ("",) * len(record.test.numbers)
+    return tuple(
+        mode_name(number, of).removeprefix("mode ")
+        for number, of in zip(record.test.numbers, label, strict=True)
+    )
+
+
+def _partners(record: CampaignRecord) -> tuple[Floats, Floats, Integers]:
+    """Return frequency, MAC and number of the partner of each test mode, (n_modes,) each."""
+    best, n = record.best.pairing, len(record.test.numbers)
+    updated_hz, macs = np.full((2, n), np.nan)
+    elastic_modes = np.zeros(n, dtype=np.int64)
+    updated_hz[best.measured] = record.best.computed.frequencies_hz[best.computed]
+    macs[best.measured] = best.judged_mac
+    elastic_modes[best.measured] = best.computed + 1
+    return updated_hz, macs, elastic_modes
+
+
+def _evidence_of(record: CampaignRecord, test_digest: str, values: Floats) -> str:
+    """Return the digest of what a run found, and from what; values: of the parameters."""
+    return _digest(
+        [
+            test_digest,
+            record.iterations[0].modal_key,
+            *(f"{name} {value!r}" for name, value in sorted(record.environment.items())),
+            *record.parameters.names,
+            *(f"{value:.{DIGITS - 1}e}" for value in values.tolist()),
+            record.status,
+            record.verdict.name,
+        ]
     )
 
 

@@ -50,8 +50,6 @@ class WatchedStructure:
         if run is None:
             return 1, 0.0, self.name
         doubts = (
-            run.state == "changed",
-            False,  # without a run
             run.verdict is TrustVerdict.NOT_TRUSTED,
             run.status != "converged",
             bool(self.odd),
@@ -60,7 +58,8 @@ class WatchedStructure:
         )
         error = largest_error(run)
         first = doubts.index(True) if any(doubts) else len(doubts)
-        return first, -error if np.isfinite(error) else 0.0, self.name
+        place = 0 if run.state == "changed" else 2 + first
+        return place, -error if np.isfinite(error) else 0.0, self.name
 
     @property
     def report(self) -> Path | None:

@@ -18,10 +18,10 @@ from modetune.core.storage.files import check_writable
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
-from modetune.flows.studies.sample.chains import LONGER, LONGEST, check_walkers, sample
+from modetune.flows.studies.sample.chains import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
-from modetune.flows.studies.sample.refinement import Refinement, check, learn
+from modetune.flows.studies.sample.refinement import Checks, Refinement, check, learn
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.matrices import one_thread
@@ -67,7 +67,13 @@ def sample_campaign(
             )
         working("sets of the posterior")
         checks = check(solver, learned, chains, request.checks, known.at_checks)
-    campaign = known.campaign
+    return _record(known, chains, checks, request.seed, time.monotonic() - started)
+
+
+def _record(
+    known: PosteriorModel, chains: Chains, checks: Checks, seed: int, wall_s: float
+) -> PosteriorRecord:
+    campaign, learned, solver = known.campaign, known.learned, known.solver
     parameters, posterior, flat = campaign.parameters, learned.posterior, chains.flat
     samples, log_densities = chains.thinned()
     interval = np.quantile(flat, [0.025, 0.975], axis=0)
@@ -75,7 +81,7 @@ def sample_campaign(
     n = len(parameters)
     return PosteriorRecord(
         name=campaign.name,
-        seed=request.seed,
+        seed=seed,
         walkers=chains.samples.shape[1],
         steps=chains.steps,
         burned=chains.burned,
@@ -85,7 +91,7 @@ def sample_campaign(
         solver_version=known.version,
         modetune_version=__version__,
         units=campaign.case.units,
-        wall_s=time.monotonic() - started,
+        wall_s=wall_s,
         campaign_text=campaign.text,
         names=parameters.names,
         lower=posterior.lower,
