@@ -101,7 +101,21 @@ LONGEST = 8 << 20
 
 
 class _LogFile(RotatingFileHandler):
-    """A log file whose errors (a full disk) do not stop the campaign."""
+    """A log file whose errors (a full disk) do not stop the campaign, and that stays closed.
+
+    A thread that found the handler before its removal may still hand it a message, for which the
+    base class opens the file again.
+    """
+
+    ended = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if not self.ended:
+            super().emit(record)
+
+    def close(self) -> None:
+        self.ended = True
+        super().close()
 
     def handleError(self, record: logging.LogRecord) -> None:
         pass

@@ -55,6 +55,22 @@ def test_a_log_that_cannot_be_written_is_no_failure(bench: Any, watcher: Any) ->
     assert run(bench, watcher, bench.campaign(TRUTH)).status == "converged"
 
 
+def test_a_message_after_the_end_opens_no_log_again(
+    bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread that logs while a campaign of the same process ends may hold its handler still."""
+    added: list[logging.Handler] = []
+    ours = logging.getLogger("modetune")
+    add = ours.addHandler
+    monkeypatch.setattr(ours, "addHandler", lambda item: (added.append(item), add(item)))
+    run(bench, watcher, bench.campaign(TRUTH))
+    (late,) = [item for item in added if isinstance(item, logging.FileHandler)]
+    lines = log_of(bench)
+    late.handle(logging.LogRecord("modetune", logging.INFO, "", 0, "late", None, None))
+    assert late.stream is None
+    assert log_of(bench) == lines
+
+
 def test_a_campaigns_words_for_a_licence_that_is_not_free_are_waited_for(
     bench: Any, watcher: Any
 ) -> None:
