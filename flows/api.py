@@ -392,17 +392,22 @@ def fleet(
     of: StrPath | Sequence[StrPath],
     runs: StrPath = "runs",
     *,
+    update: bool = False,
+    parallel: int | None = None,
+    fail_on: FailOn | None = None,
     page: StrPath | None = None,
     settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
 ) -> tuple[WatchedStructure, ...]:
     """Return many structures with their newest runs, the worst first.
 
-    of: campaign files, run folders, folders of run folders, or patterns of these.
+    of: campaign files, run folders, folders of run folders, or patterns of these. update: update
+    the campaigns first, `parallel` at a time; failures are in the structures and raise nothing.
     """
     words = [of] if isinstance(of, str | Path) else list(of)
-    given: dict[str, Any]
-    given = {"of": [Path(word) for word in words], "runs": runs, "page": page}
-    given |= {"prefect": False, "progress": False, "settings": settings}
+    given = {**locals(), "of": [Path(word) for word in words]}
+    del given["words"]
     found: tuple[WatchedStructure, ...] = _found("fleet", given)
     return found
 

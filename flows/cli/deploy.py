@@ -62,7 +62,7 @@ def deployable(
 
     study, options = parse_study(line)
     first, *others = study.fields
-    typed = {first.name: campaign_file, "settings": settings or [], **options}
+    typed = {first.name: first.of_one(campaign_file), "settings": settings or [], **options}
     if any(item.name == "runs" for item in others):
         typed["runs"] = runs
     checked = study.checked(typed)

@@ -32,13 +32,21 @@ UPSTREAM = 20
 class StudyRun:
     """The running study: its runner and the cancellation of its solvers.
 
-    licences is true if a Prefect server counts licences for all machines.
+    licences is true if a Prefect server counts licences for all machines; outer is the study whose
+    cancellation ends this one too.
     """
 
     runner: Runner
     licences: bool = False
+    outer: StudyRun | None = None
+    _inner: list[StudyRun] = field(default_factory=list)
     _ends: list[threading.Event] = field(default_factory=list)
     _cancelled: bool = False
+
+    def __post_init__(self) -> None:
+        if self.outer is not None:
+            self.outer._inner.append(self)
+            self._cancelled = self.outer._cancelled
 
     def cancellation(self) -> threading.Event:
         """Return an event for a new engine, set when the study is cancelled."""
@@ -53,6 +61,8 @@ class StudyRun:
         self._cancelled = True
         for event in self._ends:
             event.set()
+        for run in self._inner:
+            run.cancel()
 
 
 _run: ContextVar[StudyRun | None] = ContextVar("run", default=None)

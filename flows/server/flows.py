@@ -15,7 +15,7 @@ Its state has the study's status as name, and the study's JSON object as result.
 from __future__ import annotations
 
 import inspect
-import logging
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from contextvars import ContextVar
@@ -34,14 +34,15 @@ from prefect.flow_engine import run_flow
 from prefect.states import Cancelled, Completed, Crashed, Failed, Pending
 from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 
-from modetune.core.errors import CampaignRunning, ModetuneError
+from modetune.core.errors import CampaignRunning, ModetuneError, SolverCancelled
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.jobs.heartbeats import TAG
 from modetune.flows.jobs.prefect_runner import dask_task_runner, task_runner
 from modetune.flows.jobs.prefect_server import configured_server
+from modetune.flows.jobs.run_log import logged_to
 from modetune.flows.jobs.runner import Runner
 from modetune.flows.jobs.server_client import ServerClient
-from modetune.flows.jobs.tasks import StudyRun, use_run
+from modetune.flows.jobs.tasks import StudyRun, study_run, use_run
 from modetune.flows.server.artifacts import (
     change_event,
     files_artifact,
@@ -57,6 +58,8 @@ from modetune.flows.updating.record import CampaignRun
 
 #: Names of the flows.
 FLOWS = STUDIES
+#: How often a flow inside another one is begun on a busy server, and the seconds in between.
+BEGINS, PAUSE_S = 3, 1.0
 
 
 @dataclass
@@ -64,6 +67,7 @@ class Handed:
     """What the caller in this process hands to the body of a flow, and the outcome of the body.
 
     opened: the campaign, loaded already. own_process: whether the process is the run's alone.
+    scheduled: whether a server started the study that this one is part of.
     state: that the run ends in, whether or not the server receives it. lost: whether the server
     was gone when the body ended. interrupted: whether a signal ended the study, and not its page.
     """
@@ -71,6 +75,7 @@ class Handed:
     progress: Progress
     opened: StudyContext | None = None
     own_process: bool = False
+    scheduled: bool = False
     began: bool = False
     end: StudyResult | None = None
     error: BaseException | None = None
@@ -124,6 +129,20 @@ def run_as_flow(
             )
         handed.progress.page(f"{pages}/runs/flow-run/{made.id}")
         run_flow(flow, flow_run=made, parameters=dict(parameters), return_type="state")
+
+
+def run_inside(name: str, parameters: Mapping[str, Any], handed: Handed) -> StudyResult:
+    """Run a study as a subflow of the flow that calls this.
+
+    Raises the errors of the study, and those of a server that refuses it before it begins.
+    """
+    try:
+        with handing(handed):
+            find_flow(name)(**parameters, return_state=True)
+    except (Exception, Abort):  # the study's own errors are in the outcome
+        if not handed.began:
+            raise
+    return handed.outcome()
 
 
 def __getattr__(name: str) -> Flow[..., Any]:
@@ -201,7 +220,7 @@ def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[
 
     page = RunPage(_client(), context.flow_run.id, cancel, handed.own_process)
     try:
-        with _logged(page):
+        with logged_to([PageLog(page)], lambda: runs[0] if runs else None):
             state = _carried(study, parameters, handed, runs, page, context.flow_run)
     except (KeyboardInterrupt, TerminationSignal) as error:
         cancel()
@@ -210,6 +229,9 @@ def _body(study: Study, parameters: Mapping[str, Any], handed: Handed) -> State[
         handed.interrupted = not page.cancelled
         where = "stopped by the user" if handed.interrupted else "cancelled on its page"
         state = Cancelled(message=where)
+    except SolverCancelled as error:
+        handed.error = error
+        state = Cancelled(message=str(error))
     except CampaignRunning as error:
         handed.error = error
         state = Completed(name="Already running", message=str(error))
@@ -245,12 +267,27 @@ def _carried(
         if flow_run.deployment_id is None:  # the pages have no button for such a run
             page.log(f"to repeat this run: {shell_command(study, parameters)}")
             page.log(f"to cancel this run: prefect flow-run cancel {flow_run.id}")
-        on = replace(opened, progress=progress, scheduled=flow_run.deployment_id is not None)
+        scheduled = handed.scheduled or flow_run.deployment_id is not None
+
+        def run_study(name: str, given: Mapping[str, Any], watcher: Progress) -> StudyResult:
+            inner, refusal = find_study(name), ""
+            checked = inner.checked(given)
+            for _ in range(BEGINS):  # the server of several flows may be busy
+                try:
+                    return run_inside(name, checked, Handed(watcher, scheduled=scheduled))
+                except (PrefectException, httpx.HTTPError, Abort) as error:
+                    refusal = f"{type(error).__name__}: {error}"
+                    time.sleep(PAUSE_S)
+            page.log(f"Prefect's server took no run of {name}, which has no page ({refusal})")
+            with inner.opened(checked, watcher) as on:
+                return inner.call(replace(on, scheduled=scheduled), checked)
+
+        on = replace(opened, progress=progress, scheduled=scheduled, run_study=run_study)
         progress.name = on.name
         if study.name == "update":
             progress.tolerances = on.campaign.tolerances
         runner = stack.enter_context(_runner(on.loaded))
-        runs.append(StudyRun(runner, licences=configured_server() is not None))
+        runs.append(StudyRun(runner, configured_server() is not None, study_run()))
         stack.enter_context(use_run(runs[0]))
         end = handed.end = study.call(on, parameters)
     for artifact in _artifacts(study, on.name, end):
@@ -298,17 +335,3 @@ def _rename(flow_run: FlowRun, name: str) -> None:
     """Name a run that a server started after its campaign; a name is no reason to fail."""
     with suppress(PrefectException, httpx.HTTPError), get_client(sync_client=True) as client:
         client.update_flow_run(flow_run.id, name=name)
-
-
-@contextmanager
-def _logged(page: RunPage) -> Iterator[None]:
-    """modetune's log lines go to the page of a run."""
-    ours, handler = logging.getLogger("modetune"), PageLog(page)
-    level = ours.level
-    ours.setLevel(min(logging.INFO, ours.getEffectiveLevel()))
-    ours.addHandler(handler)
-    try:
-        yield
-    finally:
-        ours.removeHandler(handler)
-        ours.setLevel(level)

@@ -20,7 +20,8 @@ from modetune.core.errors import ModetuneError
 from modetune.flows.campaign.campaign import Campaign, campaign_form, cores
 from modetune.flows.campaign.schema import ModelFile
 from modetune.flows.jobs.runner import PoolRunner, Runner
-from modetune.flows.jobs.tasks import StudyRun, use_run
+from modetune.flows.jobs.tasks import StudyRun, study_run, use_run
+from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import Study, StudyContext
 from modetune.flows.updating.forecast import Progress
@@ -120,8 +121,12 @@ def _used(server: SharedServer | None) -> Iterator[None]:
 
 def _on_pool(study: Study, parameters: Mapping[str, Any], on: StudyContext) -> StudyResult:
     """The study without Prefect: on threads, or on the campaign's Dask cluster."""
-    with _plain_runner(on.loaded) as runner, use_run(StudyRun(runner)):
-        return study.call(on, parameters)
+
+    def run_study(name: str, given: Mapping[str, Any], watcher: Progress) -> StudyResult:
+        return carried_out(find_study(name), given, watcher, prefect="off")
+
+    with _plain_runner(on.loaded) as runner, use_run(StudyRun(runner, outer=study_run())):
+        return study.call(replace(on, run_study=run_study), parameters)
 
 
 @contextmanager
@@ -140,12 +145,9 @@ def _in_pipeline(
     study: Study, parameters: Mapping[str, Any], on: StudyContext, progress: Progress
 ) -> StudyResult:
     """The study as a flow inside the flow that calls it, on that one's server."""
-    from modetune.flows.server.flows import Handed, find_flow, handing
+    from modetune.flows.server.flows import Handed, run_inside
 
-    handed = Handed(progress, on)
-    with handing(handed):
-        find_flow(study.name)(**parameters, return_state=True)
-    return handed.outcome()
+    return run_inside(study.name, parameters, Handed(progress, on))
 
 
 def _as_flow(

@@ -137,7 +137,8 @@ class StudyContext:
 
     name: the campaign's, or that of a comparison. values: the parameters', by `at`. folder: the
     campaign's run folder. charted: whether charts are wanted. loaded: None where a study loads
-    its campaigns itself. scheduled: whether a server started the run.
+    its campaigns itself. scheduled: whether a server started the run. run_study: runs another study
+    as part of this one, by its name, parameters and progress; a subflow where this one is a flow.
     """
 
     name: str
@@ -147,6 +148,7 @@ class StudyContext:
     folder: Path = Path()
     charted: bool = False
     scheduled: bool = False
+    run_study: Callable[[str, Mapping[str, Any], Progress], StudyResult] | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -337,6 +339,10 @@ class StudyParameter:
             default=REQUIRED if self.default is REQUIRED else self.json_value(self.default),
             annotation=Annotated[kind, Field(description=self.info.help, **given)],
         )
+
+    def of_one(self, value: Any) -> Any:
+        """A single value, as a list where the parameter takes several."""
+        return [value] if get_origin(self.json_kind) is list else value
 
     def json_value(self, value: Any) -> Any:
         """A value as JSON has it."""

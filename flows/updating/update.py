@@ -61,6 +61,8 @@ from modetune.flows.diagnosis.findings import Finding
 from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.job import Job
+from modetune.flows.jobs.run_log import logged_to
+from modetune.flows.jobs.tasks import study_run
 from modetune.flows.report.iteration_tables import iteration_row
 from modetune.flows.report.report_file import draw_report
 from modetune.flows.updating.diagnosis import checked
@@ -124,31 +126,22 @@ class _LogFile(RotatingFileHandler):
 @contextmanager
 def campaign_log(campaign: Campaign, folder: Path) -> Iterator[None]:
     """Write the messages of modetune's loggers to the campaign's run folder."""
-    ours = logging.getLogger("modetune")
     file = _LogFile(folder / LOG, maxBytes=LONGEST, backupCount=1, encoding="utf-8", delay=True)
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     terminal = logging.StreamHandler()  # as Python does without handlers
     terminal.setLevel(logging.WARNING)
-    handlers: list[logging.Handler] = [file] if ours.hasHandlers() else [file, terminal]
-    level = ours.level
-    ours.setLevel(min(logging.INFO, ours.getEffectiveLevel()))
-    for handler in handlers:
-        ours.addHandler(handler)
-    try:
-        host = f"{socket.gethostname()}, process {os.getpid()}"
-        logger.info("campaign %s (%s) on %s", campaign.name, campaign.file, host)
-        names = ", ".join(dict.fromkeys(case.solver.program.name for case in campaign.cases))
-        logger.info("solver %s, version %s", names, campaign.solver_version())
-        yield
-    except BaseException as error:
-        text = f"ended with {type(error).__name__}: {error}"
-        file.handle(logging.LogRecord(__name__, logging.ERROR, "", 0, text, None, None))
-        raise
-    finally:
-        ours.setLevel(level)
-        for handler in handlers:
-            ours.removeHandler(handler)
-            handler.close()
+    heard, run = logging.getLogger("modetune").hasHandlers(), study_run()
+    with logged_to([file] if heard else [file, terminal], lambda: run):
+        try:
+            host = f"{socket.gethostname()}, process {os.getpid()}"
+            logger.info("campaign %s (%s) on %s", campaign.name, campaign.file, host)
+            names = ", ".join(dict.fromkeys(case.solver.program.name for case in campaign.cases))
+            logger.info("solver %s, version %s", names, campaign.solver_version())
+            yield
+        except BaseException as error:
+            text = f"ended with {type(error).__name__}: {error}"
+            file.handle(logging.LogRecord(__name__, logging.ERROR, "", 0, text, None, None))
+            raise
 
 
 def log_iterations(record: CampaignRecord, logged: int) -> int:

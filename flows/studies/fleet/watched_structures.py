@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from modetune.core.modes import Floats
 from modetune.core.monitoring.past_runs import FOLDER, PastRun, newest_run
 from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.report.report_file import PAGE
+from modetune.flows.studies.fleet.campaign_updates import UpdateEnd
 from modetune.flows.studies.history.named_runs import run_folder
 from modetune.flows.studies.history.trends import largest_error
 
@@ -30,8 +31,10 @@ MAD = 0.6745
 class WatchedStructure:
     """A structure of a fleet.
 
-    run: its newest run, None where there is none; n_runs: how many it has. problem: why there is no
-    run, or what was left out. odd: parameters out of the family, a sentence each.
+    file: its campaign, where that is named. run: its newest run, None where there is none; n_runs:
+    how many it has. problem: why there is no run, or what was left out. odd: parameters out of the
+    family, a sentence each. failure: why its update just now gave no result; exit_code: of that
+    update.
     """
 
     name: str
@@ -39,7 +42,10 @@ class WatchedStructure:
     run: PastRun | None
     n_runs: int
     problem: str
+    file: Path | None = None
     odd: tuple[str, ...] = ()
+    failure: str = ""
+    exit_code: int = 0
 
     __repr__ = brief
 
@@ -47,7 +53,7 @@ class WatchedStructure:
     def rank(self) -> tuple[int, float, str]:
         """The place in the list, the worst first."""
         run = self.run
-        if run is None:
+        if run is None or self.failure:
             return 1, 0.0, self.name
         doubts = (
             run.verdict is TrustVerdict.NOT_TRUSTED,
@@ -68,35 +74,74 @@ class WatchedStructure:
         return page if page.is_file() else None
 
 
-def fleet_of(words: Sequence[Path], runs: Path) -> tuple[WatchedStructure, ...]:
-    """Return the structures that words name, the worst first.
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A member of a fleet: its name, run folder and campaign, or why these are unknown."""
+
+    name: str
+    folder: Path
+    file: Path | None = None
+    problem: str = ""
+
+
+def members_of(
+    words: Sequence[Path], runs: Path, settings: Sequence[str] = ()
+) -> tuple[Member, ...]:
+    """Return the members that words name.
 
     A word is a campaign file, a run folder, a folder of run folders, or a pattern of these. runs:
     the folder of the campaigns' run folders. Raises CampaignError.
     """
-    folders = dict.fromkeys(folder for word in words for folder in _folders(word, runs))
-    if not folders:
+    found: dict[Path, Member] = {}
+    for member in (member for word in words for member in _members(word, runs, settings)):
+        known = found.get(member.folder)
+        if known is None or known.file is None:
+            found[member.folder] = member
+        elif member.file not in (None, known.file):
+            assert member.file is not None
+            problem = f"{known.file} has the same `name`, and so the same run folder"
+            found[member.file] = replace(member, folder=member.file, problem=problem)
+    if not found:
         named = ", ".join(map(str, words))
         raise CampaignError(
             f"{named}: no campaign and no run folder with a history; each `modetune update` adds a "
             "run to one"
         )
-    found = [_structure(folder) for folder in folders]
+    return tuple(found.values())
+
+
+def fleet_of(
+    members: Sequence[Member], ends: Mapping[Path, UpdateEnd]
+) -> tuple[WatchedStructure, ...]:
+    """Return the structures of members, the worst first.
+
+    ends: how updates of their campaigns ended just now, by the campaign's file.
+    """
+    found = [_structure(member) for member in members]
+    for place, item in enumerate(found):
+        end = None if item.file is None else ends.get(item.file)
+        if end is not None:
+            found[place] = replace(item, failure=end.failure, exit_code=end.exit_code)
     return tuple(sorted(_with_family(found), key=lambda item: item.rank))
 
 
-def _folders(word: Path, runs: Path) -> Iterator[Path]:
-    """Yield the run folders of a word."""
+def _members(word: Path, runs: Path, settings: Sequence[str]) -> Iterator[Member]:
     places = [word] if word.exists() else sorted(_fitting(word))
     if not places:
         raise CampaignError(f"{word} is not there, and nothing fits it as a pattern")
     for place in places:
         if place.is_file():
-            yield run_folder(place, runs)[0].resolve()
+            try:
+                folder = run_folder(place, runs, settings)[0].resolve()
+            except CampaignError as error:
+                yield Member(str(place.relative_to(place.parent.parent)), place, place, str(error))
+            else:
+                yield Member(folder.name, folder, place.resolve())
         elif (place / FOLDER).is_dir():
-            yield place.resolve()
+            yield Member(place.name, place.resolve())
         else:
-            yield from sorted(item.parent.resolve() for item in place.glob(f"*/{FOLDER}"))
+            for item in sorted(place.glob(f"*/{FOLDER}")):
+                yield Member(item.parent.name, item.parent.resolve())
 
 
 def _fitting(pattern: Path) -> Iterator[Path]:
@@ -104,14 +149,17 @@ def _fitting(pattern: Path) -> Iterator[Path]:
     return start.glob(str(pattern.relative_to(start)))
 
 
-def _structure(folder: Path) -> WatchedStructure:
+def _structure(member: Member) -> WatchedStructure:
+    name, folder, file = member.name, member.folder, member.file
+    if member.problem:
+        return WatchedStructure(name, folder, None, 0, member.problem, file, exit_code=2)
     try:
         run, n_runs, problem = newest_run(folder)
     except (CampaignError, StoreDamaged) as error:
-        return WatchedStructure(folder.name, folder, None, 0, str(error))
+        return WatchedStructure(name, folder, None, 0, str(error), file)
     if run is None and not problem:
         problem = "no run yet"
-    return WatchedStructure(folder.name if run is None else run.name, folder, run, n_runs, problem)
+    return WatchedStructure(name if run is None else run.name, folder, run, n_runs, problem, file)
 
 
 def _with_family(structures: Sequence[WatchedStructure]) -> Iterator[WatchedStructure]:

@@ -226,6 +226,26 @@ def test_a_study_inside_a_users_flow_uses_its_runner(
     assert {task["name"] for task in served.tasks(run["id"])} >= set(begun)
 
 
+def test_updates_of_a_fleet_are_flows_inside_its_own(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODETUNE_STORE", str(tmp_path / "six"))
+    for name in ("north", "south"):
+        shutil.copytree(SIX_MASS, tmp_path / name, ignore=shutil.ignore_patterns("__py*"))
+        file = tmp_path / name / "campaign.yaml"
+        file.write_text(file.read_text().replace("name: six-mass", f"name: fleet-{name}"))
+    seen = {run["id"] for run in served.runs()}
+    given = {"of": [tmp_path / "*" / "campaign.yaml"], "runs": tmp_path / "runs", "update": True}
+    end = carried_out(find_study("fleet"), given, Watcher())
+    new = {run["name"]: run for run in served.runs() if run["id"] not in seen}
+    assert set(new) == {"fleet", "fleet-north", "fleet-south"}
+    assert (end.exit_code, new["fleet"]["state_name"]) == (0, "2 structures: 2 learning")
+    for name in ("fleet-north", "fleet-south"):
+        assert new[name]["state_name"] == "Converged, trusted"
+        assert new[name]["parent_task_run_id"] is not None
+        assert "iteration 0 / modal" in {task["name"] for task in served.tasks(new[name]["id"])}
+
+
 def test_ctrl_c_in_a_study_ends_the_users_flow_too(served: Served) -> None:
     from prefect import flow
 

@@ -14,6 +14,7 @@ from modetune.core.monitoring.past_runs import FOLDER, PastRun, add_past_run
 from modetune.core.updating.verdict import TrustVerdict
 from tests.command_line import run_command
 
+SIX_MASS = Path(__file__).resolve().parents[3] / "configs" / "six_mass"
 #: The largest page of a thousand structures, bytes.
 PAGE = 2_000_000
 
@@ -99,3 +100,50 @@ def test_a_thousand_structures_make_a_small_page(tmp_path: Path) -> None:
         add_past_run(tmp_path / f"tower-{place}", night(f"tower-{place}"))
     modetune.fleet(tmp_path, page=tmp_path / "fleet.html")
     assert (tmp_path / "fleet.html").stat().st_size < PAGE
+
+
+@pytest.fixture
+def campaigns(tmp_path: Path) -> Path:
+    """Three structures of six masses: sound, with a campaign that is broken, with no deck."""
+    for name in ("a", "b", "c"):
+        place = tmp_path / "campaigns" / name
+        place.mkdir(parents=True)
+        for file in ("six_mass.yaml", "measured.csv", "campaign.yaml"):
+            text = (SIX_MASS / file).read_text()
+            (place / file).write_text(text.replace("name: six-mass", f"name: mast-{name}"))
+    (tmp_path / "campaigns" / "b" / "campaign.yaml").write_text("name: [")
+    (tmp_path / "campaigns" / "c" / "six_mass.yaml").unlink()
+    return tmp_path
+
+
+def test_campaigns_are_updated_and_one_that_fails_stops_no_other(campaigns: Path) -> None:
+    ended = run_command(campaigns, "fleet", "campaigns/*/campaign.yaml", "--update", "--json")
+    told = json.loads(ended.stdout)
+    assert told["sentence"] == "3 structures: 2 without a run, 1 learning, 1 not updated"
+    assert ended.returncode == told["exit_code"] == 2
+    found = {item["name"]: item for item in told["structures"]}
+    assert list(found) == ["b/campaign.yaml", "mast-c", "mast-a"]
+    assert "six_mass.yaml" in found["mast-c"]["failure"]
+    assert "not readable as YAML" in found["b/campaign.yaml"]["problem"]
+    assert found["mast-a"]["newest"]["verdict"] == "trusted"
+    log = (campaigns / "runs" / "mast-a" / "campaign.log").read_text()
+    assert "mast-c" not in log
+
+
+def test_two_campaigns_with_one_run_folder_are_not_mixed(campaigns: Path) -> None:
+    other = campaigns / "campaigns" / "b" / "campaign.yaml"
+    other.write_text((campaigns / "campaigns" / "a" / "campaign.yaml").read_text())
+    ended = run_command(campaigns, "fleet", "campaigns/[ab]/campaign.yaml", "--json")
+    told = json.loads(ended.stdout)["structures"]
+    assert [item["name"] for item in told] == ["mast-a", "mast-a"]
+    assert {"a/campaign.yaml has the same `name`" in item["problem"] for item in told} == {
+        True,
+        False,
+    }
+
+
+def test_fleet_needs_campaigns_to_update(runs: Path) -> None:
+    ended = run_command(runs, "fleet", "runs", "--update")
+    assert ended.returncode == 2
+    assert "--update needs campaign files" in ended.stderr
+    assert run_command(runs, "fleet", "runs", "--parallel", "2").returncode == 2
