@@ -261,6 +261,7 @@ def sample(
     campaign: CampaignLike,
     *,
     record: StrPath | CampaignRun | None = None,
+    state: ModelState | None = None,
     points: int | None = None,
     walkers: int | None = None,
     steps: int = 2000,
@@ -275,7 +276,8 @@ def sample(
 ) -> PosteriorRecord:
     """Sample the posterior of a campaign's parameters; writes `posterior.h5`.
 
-    record: update from whose final values to start. points: number of solver runs over the range.
+    record: update from whose final values to start, by default the newest one in `runs`. state:
+    "initial" starts over the whole bounds instead. points: number of solver runs over the range.
     walkers, steps: of the sampler. checks: number of posterior points to verify by solving. Raises
     CampaignError if the surrogate remains too inaccurate.
     """
@@ -289,6 +291,7 @@ def scatter(
     of: Sequence[str] = (),
     measurement_deviation: float | None = None,
     record: StrPath | CampaignRun | None = None,
+    state: ModelState | None = None,
     points: int | None = None,
     seed: int = 1,
     figures: StrPath | None = None,
@@ -301,8 +304,8 @@ def scatter(
     """Estimate the scatter of a campaign's parameters from repeated tests; writes `scatter.h5`.
 
     of: names of the parameters that differ from test to test, by default all.
-    measurement_deviation: relative scatter of a frequency due to measurement alone. record: update
-    from whose final values to start.
+    measurement_deviation: relative scatter of a frequency due to measurement alone. record, state:
+    as for `sample`.
     """
     found: ScatterRecord = _found("scatter", locals())
     return found

@@ -24,12 +24,7 @@ from modetune.core.algebra.factor_room import factor_room
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.modes import Floats
-from modetune.core.storage.campaign_record import (
-    CAMPAIGN,
-    CampaignRecord,
-    RunCounts,
-    read_record,
-)
+from modetune.core.storage.campaign_record import CampaignRecord, RunCounts
 from modetune.core.updating.localisation import Removal, removals
 from modetune.core.updating.model_form import FORECAST, ModelForm, model_form_sentence
 from modetune.flows.campaign.campaign import Campaign
@@ -44,6 +39,7 @@ from modetune.flows.studies.localise.error_maps import ErrorMaps, error_maps, wh
 from modetune.flows.studies.localise.proposals import Proposals, proposals
 from modetune.flows.studies.result import near
 from modetune.flows.studies.study import ModelState
+from modetune.flows.studies.update_record import update_record
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.matrices import one_thread
@@ -115,21 +111,10 @@ def examined_state(
     record: run folder or campaign.h5; folder: the campaign's run folder. Raises CampaignError
     where the record is of another campaign or there is none, StoreError.
     """
-    if state == "initial":
-        if record is not None:
-            raise CampaignError("--record names an updated model, and --state initial the start")
-        return ExaminedState()
-    path = folder if record is None else record
-    if record is None and not (folder / CAMPAIGN.file).is_file():
-        if state == "updated":
-            raise CampaignError(
-                f"{campaign.file}: --state updated: there is no update in {folder}; run `modetune "
-                "update`, or name a run folder with --record"
-            )
-        return ExaminedState(
-            remarks=("there is no update of this campaign yet: this is a forecast from its start",)
-        )
-    found = read_record(path)
+    found, path = update_record(campaign, record, state, folder), record or folder
+    if found is None:
+        forecast = "there is no update of this campaign yet: this is a forecast from its start"
+        return ExaminedState(remarks=() if state == "initial" else (forecast,))
     own, there = campaign.parameters.names, found.parameters.names
     other = (
         f"{path} has the parameters {', '.join(there)}, but {campaign.file} has {', '.join(own)}"

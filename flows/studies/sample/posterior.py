@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from modetune.core.storage.files import check_writable
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
+from modetune.flows.studies.result import near
 from modetune.flows.studies.sample.chains import LONGER, LONGEST, Chains, check_walkers, sample
 from modetune.flows.studies.sample.points import PointSolver, ReducedFeatures
 from modetune.flows.studies.sample.record import PosteriorRecord
 from modetune.flows.studies.sample.refinement import Checks, Refinement, check, learn
 from modetune.flows.studies.sample.request import SamplingRequest
+from modetune.flows.studies.study import ModelState
+from modetune.flows.studies.update_record import update_record
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import MANY, Demand
@@ -189,6 +193,29 @@ def learned_posterior(
             raise
 
 
+def sampling_start(
+    campaign: Campaign, record: Path | None, state: ModelState | None, folder: Path
+) -> tuple[CampaignRecord | None, str]:
+    """Return the update to start from, None for the campaign's start, and a sentence about it.
+
+    record: run folder or campaign.h5, by default the newest update of the campaign in its run
+    folder. Raises CampaignError, StoreError.
+    """
+    found = update_record(campaign, record, state, folder)
+    if found is None:
+        return None, "points over the bounds, from the campaign's start"
+    names = found.parameters.names
+    if record is None and state is None and not set(names).issuperset(campaign.parameters.names):
+        return None, (
+            "points over the bounds, from the campaign's start: the update in "
+            f"{near(folder)} is of {', '.join(names)}"
+        )
+    return found, (
+        f"points around the end of the update in {near(record or folder)} (--state initial: over "
+        "the bounds)"
+    )
+
+
 def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
     """The parameters (n_parameters,) that an update ended on, relative to the campaign's deck.
 
@@ -199,8 +226,9 @@ def carried_over(campaign: Campaign, earlier: CampaignRecord) -> Floats:
     missing = [name for name in campaign.parameters.names if name not in updated]
     if missing:
         raise CampaignError(
-            f"the record given with --record is of {', '.join(updated)} and lacks "
-            f"{', '.join(missing)}; name the run folder of this campaign, or leave --record out"
+            f"the record of the update is of {', '.join(updated)} and lacks "
+            f"{', '.join(missing)}; name the run folder of this campaign, or start without an "
+            "update with --state initial"
         )
     values = [
         item.relative_to(campaign.case.solver.deck.deck_value(item), updated[item.name])

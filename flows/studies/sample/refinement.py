@@ -179,9 +179,9 @@ def refuse_poor(learned: Refinement, least: int) -> None:
         else f"has {int(learned.near.sum())} runs near the posterior, where {least // 2} are needed"
     )
     raise CampaignError(
-        f"after {learned.near.size} solver runs the surrogate {text}; raise --points, start from "
-        "an updated campaign (--record), narrow the parameters' bounds, or leave out what changes "
-        "too wildly (shapes of close modes: --set residuals.shape_weight=0)"
+        f"after {learned.near.size} solver runs the surrogate {text}; raise --points, update the "
+        "campaign first (`modetune update`), narrow the parameters' bounds, or leave out what "
+        "changes too wildly (shapes of close modes: --set residuals.shape_weight=0)"
     )
 
 

@@ -15,7 +15,7 @@ from modetune.core.updating.weighting import Weighting, even_weighting
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.studies.sample import posterior
 from modetune.flows.studies.sample.figures import posterior_figures
-from modetune.flows.studies.sample.posterior import sample_campaign
+from modetune.flows.studies.sample.posterior import sample_campaign, sampling_start
 from modetune.flows.studies.sample.record import POSTERIOR, PosteriorRecord
 from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.sample.summary import findings, summary
@@ -193,7 +193,12 @@ def test_where_every_run_fails_the_solver_says_why(bench: Any, watcher: Any) -> 
 
 def test_sampling_from_the_end_of_an_update_learns_around_it(bench: Any, watcher: Any) -> None:
     campaign = bench.campaign(TRUTH, MODES)
-    update = update_campaign(campaign, bench.folder / "run", watcher).record
+    folder = bench.folder / "run"
+    assert sampling_start(campaign, None, None, folder)[0] is None  # no update yet
+    update_campaign(campaign, folder, watcher)
+    update, sentence = sampling_start(campaign, None, None, folder)
+    assert "around the end of the update" in sentence
+    assert sampling_start(campaign, None, "initial", folder)[0] is None
     request = SamplingRequest(points=16, steps=1000, checks=4)
     record = sample_campaign(campaign, request, watcher.working, update)
     # three prior deviations of 0.3 each around the truth, which the update finds, in the bounds
@@ -203,6 +208,9 @@ def test_sampling_from_the_end_of_an_update_learns_around_it(bench: Any, watcher
     other = bench.campaign({"k1": 1.2, "k2": 1.0}, MODES)
     with pytest.raises(CampaignError, match="is of k1, k3 and lacks k2"):
         sample_campaign(other, request, watcher.working, update)
+    none, sentence = sampling_start(other, None, None, folder)
+    assert none is None
+    assert "is of k1, k3" in sentence
 
 
 @pytest.mark.parametrize(
