@@ -632,7 +632,10 @@ def _found(name: str, given: dict[str, Any]) -> Any:
         item.name: _parameter(item, given[item.name]) for item in study.fields if item.name in given
     }
     with named_extras(), watched as progress:
-        return carried_out(study, parameters, progress, prefect=door, campaign=loaded).found
+        end = carried_out(study, parameters, progress, prefect=door, campaign=loaded)
+    if end.failure is not None:
+        raise end.failure
+    return end.found
 
 
 def _door(start: bool) -> Literal["start", "find", "off"]:

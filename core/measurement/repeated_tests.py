@@ -327,7 +327,12 @@ def _drawn(variances: Floats, n: int) -> Floats:
 
 
 def _correlation(covariance: Floats, n: int) -> Floats:
-    """Return the correlation (m, m), drawn to zero as far as n tests leave it uncertain."""
+    """Return the correlation (m, m), drawn to zero as far as n tests leave it uncertain.
+
+    Of two tests every correlation is 1 or -1 whatever was measured, so they determine none.
+    """
+    if n < 3:
+        return np.eye(len(covariance))
     sizes = np.sqrt(np.diag(covariance))
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     r = covariance / np.outer(sizes, sizes)

@@ -535,14 +535,14 @@ class CampaignFile(Section):
                     [{"type": "value_error", "loc": place, "input": {}, "ctx": {"error": error}}],
                 )
             variables -= set(names)
-        variables -= self._variables_of_responses()
+        variables -= self.variables_of_responses()
         if variables:
             raise ValueError(f"the variable {', '.join(sorted(variables))} is not used")
         if self.parameters and not free:
             raise ValueError("all parameters have expressions; at least one must be free")
         return self
 
-    def _variables_of_responses(self) -> set[str]:
+    def variables_of_responses(self) -> set[str]:
         """Return the names of the variables that response types refer to."""
         given = {p.name: (p.values, p.bounds) for p in self.parameters if p.quantity == "variable"}
         sections = (self.residuals, *(item.residuals for item in self.configurations))
@@ -600,12 +600,13 @@ class OpenFile(CampaignFile):
 
 
 class ModelFile(OpenFile):
-    """A campaign file before the test: its `test` is never read."""
+    """A campaign file before the test: its `test` is never read; configurations keep theirs."""
 
     @model_validator(mode="before")
     @classmethod
     def _without_test(cls, given: Any) -> Any:
-        return {**given, "test": {"modes": NO_TEST}} if isinstance(given, dict) else given
+        whole = not isinstance(given, dict) or given.get("configurations")
+        return given if whole else {**given, "test": {"modes": NO_TEST}}
 
 
 def campaign_schema() -> dict[str, Any]:

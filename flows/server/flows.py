@@ -297,8 +297,11 @@ def _carried(
     if isinstance(end.found, CampaignRun) and end.found.news:
         page.event(change_event(end.found))
     name, reason = end.state[:1].upper() + end.state[1:], "; ".join(end.doubts) or end.sentence
+    if end.failure is not None:
+        reason = f"{reason}; not written: {end.failure}"
     # What did not succeed is not shown in green, and an automation can wait for it.
-    made: Callable[..., State[Any]] = Failed if end.exit_code else Completed
+    failed = end.exit_code or end.failure is not None
+    made: Callable[..., State[Any]] = Failed if failed else Completed
     return made(name=name, message=reason, data=end.to_json())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,10 @@ class StudyResult:
     doubts: why the result is unreliable, sentences that may also be among the lines. status: one
     or two words for lists of runs; "completed", or "unreliable" with doubts, where empty.
     exit_code: of the command. remark: the last line for people. json_file: where the command also
-    writes the JSON object. shown: prints the result on a terminal where tables and lines are not
-    the whole of it.
+    writes the JSON object. outputs: write the files that an option names, once the result is
+    there. failure: why one of these, of the figures or the page could not be written, which a
+    command reports after the result. shown: prints the result on a terminal where tables and lines
+    are not the whole of it.
     """
 
     found: object
@@ -44,6 +47,8 @@ class StudyResult:
     remark: str = ""
     json_file: Path | None = None
     shown: Callable[[Console], None] | None = None
+    outputs: Sequence[Callable[[], Sequence[Path]]] = ()
+    failure: Exception | None = None
 
     @property
     def state(self) -> str:
@@ -57,21 +62,37 @@ class StudyResult:
         return {**self.summary, "written": [str(near(path)) for path in self.written]}
 
     def drawn(self, title: tuple[str, str], page: Path | None, figures: Path | None) -> StudyResult:
-        """Write figures into a folder and the page, and add them to the written files.
+        """Write the outputs, figures into a folder and the page, and add them to the written files.
 
-        title: the study's name and the campaign's.
+        title: the study's name and the campaign's. A file that cannot be written takes nothing
+        from the result: the first such error is its `failure`.
         """
         charts = {name: chart for name, chart in self.charts.items() if chart is not None}
-        files: list[Path] = []
-        if figures is not None:
+
+        def save_figures(folder: Path) -> Sequence[Path]:
             from modetune.flows.report.matplotlib_charts import save_all
 
-            files += save_all(charts, figures)
-        if page is not None:
+            return save_all(charts, folder)
+
+        def save_page(file: Path) -> Sequence[Path]:
             from modetune.flows.report.page import write_study
 
-            files.append(write_study(page, title, self.tables, self.lines, self.doubts, charts))
-        return replace(self, written=[*(self.written or ()), *files]) if files else self
+            return [write_study(file, title, self.tables, self.lines, self.doubts, charts)]
+
+        outputs = list(self.outputs)
+        outputs += [partial(save_figures, figures)] if figures is not None else []
+        outputs += [partial(save_page, page)] if page is not None else []
+        files: list[Path] = []
+        failure = self.failure
+        for output in outputs:
+            try:
+                files += output()
+            except Exception as error:  # raised again once the result is printed
+                failure = failure or error
+        if not outputs:
+            return self
+        written = [*(self.written or ()), *files] if files else self.written
+        return replace(self, written=written, failure=failure)
 
 
 def near(path: Path) -> Path:

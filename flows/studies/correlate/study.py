@@ -118,8 +118,8 @@ def correlate(
         correlation_summary(found),
         _tables(found),
         _lines(found),
-        [] if out is None else _write(found, out),
-        correlation_charts(found) if on.charted else {},
+        charts=correlation_charts(found) if on.charted else {},
+        outputs=[] if out is None else [lambda: _write(found, out)],
     )
 
 

@@ -35,10 +35,10 @@ def direct(
     found = correct_directly(
         on.campaign, on.values, request.method, request.filling, request.mass_normalised
     )
-    written = write_matrices(out, found.matrices) if out is not None else ()
+    outputs = [] if out is None else [lambda: write_matrices(out, found.matrices)]
     lines = [*found.notes, found.sentence]
     tables = [table_of("Modes of the corrected model", found.modes, CorrectedMode)]
-    return StudyResult(found, found.sentence, summary(found), tables, lines, written)
+    return StudyResult(found, found.sentence, summary(found), tables, lines, outputs=outputs)
 
 
 def summary(found: DirectCorrection) -> dict[str, Json]:

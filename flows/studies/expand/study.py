@@ -46,14 +46,19 @@ def expand(
 
     check_files(on.campaign, out, paraview)
     found = expand_shapes(on.campaign, on.values, request.method, request.modes)
-    written = write_files(on.campaign, found, out, paraview)
     lines = [f"{item.method}: {item.unavailable}" for item in found.methods if item.unavailable]
     if found.left_out:
         lines.append(f"held in place in the model, so left out: {', '.join(found.left_out)}")
     charts = {"held_out": error_chart(found)}
     lines.append(found.sentence)
     return StudyResult(
-        found, found.sentence, summary(found), [_table(found)], lines, written, charts
+        found,
+        found.sentence,
+        summary(found),
+        [_table(found)],
+        lines,
+        charts=charts,
+        outputs=[lambda: write_files(on.campaign, found, out, paraview)],
     )
 
 

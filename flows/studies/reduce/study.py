@@ -38,12 +38,12 @@ def reduce(
     if out is not None:
         check_form(out)
     found = reduce_model(on.campaign, on.values, request)
-    written = write_matrices(out, found.matrices) if out is not None else ()
+    outputs = [] if out is None else [lambda: write_matrices(out, found.matrices)]
     held = f"held in place, so left out: {', '.join(map(dof_name, found.held))}"
     lines = [*([held] if found.held else []), found.sentence]
     title = f"Reduced to {len(found.masters)} masters"
     tables = [table_of(title, _rows(found), ReducedMode)]
-    return StudyResult(found, found.sentence, summary(found), tables, lines, written)
+    return StudyResult(found, found.sentence, summary(found), tables, lines, outputs=outputs)
 
 
 @dataclass(frozen=True, slots=True)

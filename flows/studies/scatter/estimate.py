@@ -149,6 +149,7 @@ def _of_one_test(campaign: Campaign) -> Campaign:
     assert repeats is not None
     rows = [repeats.numbers.index(number) for number in case.test.numbers]
     found = scatter_of(used_hz(repeats)[:, rows])
+    _check_number(found.covariance, len(repeats.places))
     weighting = replace(
         case.weighting,
         frequency_deviations=np.maximum(found.deviations / found.mean, LEAST),
@@ -159,6 +160,17 @@ def _of_one_test(campaign: Campaign) -> Campaign:
         for item in case.compared
     )
     return replace(campaign, cases=(replace(case, weighting=weighting, compared=compared),))
+
+
+def _check_number(covariance: Floats, n_tests: int) -> None:
+    """Raise CampaignError where so few tests leave the covariance of their values singular."""
+    n_values = len(covariance)
+    if n_tests <= n_values:
+        raise CampaignError(
+            f"{n_tests} tests of {n_values} values do not determine how these vary together: "
+            f"repeat the test until there are {n_values + 1} or more, or choose fewer modes with "
+            "`test.use`"
+        )
 
 
 def _nearer(known: PosteriorModel, rng: np.random.Generator) -> PosteriorModel:
@@ -185,6 +197,7 @@ def _tests(known: PosteriorModel, values: MeasuredValues, deviation: float | Non
     measured = (values_by_test(repeats, values.names) - values.means) / values.sizes
     measured = measured[np.isfinite(measured).any(axis=1)]
     found = scatter_of(measured)
+    _check_number(found.covariance, len(measured))
     noise = (deviation or 0.0) ** 2 * np.eye(len(values.names))
     kept = np.where(found.used, measured, np.nan)
     return TestScatter(kept, found.mean, found.covariance, noise, repeats.worth * len(measured))

@@ -5,6 +5,10 @@ above them, so that one hash brings a candidate back; only the name gets an endi
 both campaigns keep their own run folders, and paths follow where the file goes elsewhere. What
 was written is read again and must be the same campaign with the chosen parameters; where the text
 does not allow that (a list in one line, anchors), the file is written again without its comments.
+
+A field stays whole if one of its zones was chosen. An expression stays with the parameters that it
+names if one of them was chosen, and so do variables of responses: without them the file would not
+be a campaign.
 """
 
 from __future__ import annotations
@@ -21,8 +25,10 @@ import yaml
 
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.errors import CampaignError
+from modetune.core.expressions import names_of
 from modetune.core.storage.files import writing
-from modetune.flows.campaign.schema import STORE_VARIABLE
+from modetune.flows.campaign.campaign import campaign_form
+from modetune.flows.campaign.schema import STORE_VARIABLE, OpenFile
 from modetune.flows.studies.screen.choice import ParameterVerdict
 from modetune.flows.studies.screen.record import Screening
 
@@ -30,7 +36,7 @@ ENDING = "-screened"
 #: Longest name of a campaign.
 NAME_LENGTH = 64
 #: Keys whose values are paths relative to the campaign file.
-PATH_KEYS = ("deck", "modes", "store")
+PATH_KEYS = ("deck", "modes", "repeats", "store")
 
 
 def write_proposal(campaign_file: Path, screening: Screening, out: Path) -> Path:
@@ -58,18 +64,42 @@ def check_out(campaign_file: Path, out: Path) -> None:
 
 def proposed_text(source: YamlFile, screening: Screening, out: Path) -> str:
     """Return the text of the proposed campaign for the file `out`."""
-    wanted = _wanted(source, screening, out)
-    text = _edited(source, screening, wanted)
+    kept, left_out = _kept(source, screening)
+    wanted = _wanted(source, kept, out)
+    heading = _heading(screening, kept)
+    text = _edited(source, heading, left_out, wanted)
     try:
         if text is not None and yaml.safe_load(text) == wanted:
             return text
     except yaml.YAMLError:
         pass  # the text does not allow it
     shown = yaml.safe_dump(wanted, sort_keys=False, allow_unicode=True, width=100)
-    return "".join(f"# {line}\n" for line in _heading(screening)) + shown
+    return "".join(f"# {line}\n" for line in heading) + shown
 
 
-def _heading(screening: Screening) -> list[str]:
+def _kept(source: YamlFile, screening: Screening) -> tuple[set[str], dict[str, str]]:
+    """Return the names of the parameters that stay, and the reasons why others do not."""
+    file, chosen = campaign_form(source, None, OpenFile), set(screening.choice.chosen)
+    fields = {item.name for item in file.parameters if item.field}
+    zones = {name for name in fields if any(zone.startswith(f"{name}.") for zone in chosen)}
+    needed = [
+        {item.name, *names_of(item.expression)} for item in file.parameters if item.expression
+    ]
+    kept = zones | file.variables_of_responses()
+    kept |= chosen & {item.name for item in file.parameters}
+    while more := [names for names in needed if names & kept and not names <= kept]:
+        kept = kept.union(*more)
+    reasons = {item.name: item.reason for item in screening.choice.verdicts}
+    reasons |= dict.fromkeys(fields, "no zone of this field was chosen")
+    without = "its expression names only parameters that were left out"
+    return kept, {
+        item.name: reasons.get(item.name, without)
+        for item in file.parameters
+        if item.name not in kept
+    }
+
+
+def _heading(screening: Screening, kept: set[str]) -> list[str]:
     chosen, design = screening.choice.chosen, screening.design
     method = {
         "local": "sensitivities at the deck's values", "morris": "Morris", "sobol": "Sobol",
@@ -81,6 +111,8 @@ def _heading(screening: Screening) -> list[str]:
         f"{len(screening.names)} parameters. "
     )
     reasons = [f"{item.name}: {item.reason}." for item in _by_rank(screening)]
+    if further := sorted(name for name in kept.difference(chosen) if name in screening.names):
+        reasons.append(f"Not chosen, but needed by expressions or responses: {', '.join(further)}.")
     return [part for text in (line, *reasons) for part in textwrap.wrap(text, 96)]
 
 
@@ -89,11 +121,10 @@ def _by_rank(screening: Screening) -> list[ParameterVerdict]:
     return sorted(chosen, key=lambda item: item.rank)
 
 
-def _wanted(source: YamlFile, screening: Screening, out: Path) -> dict[str, object]:
+def _wanted(source: YamlFile, kept: set[str], out: Path) -> dict[str, object]:
     """The data of the proposed campaign."""
     data = yaml.safe_load(source.text)
-    chosen = set(screening.choice.chosen)
-    data["parameters"] = [item for item in data["parameters"] if item["name"] in chosen]
+    data["parameters"] = [item for item in data["parameters"] if str(item["name"]) in kept]
     for place, path in _paths(source, out).items():
         target = data
         for key in place[:-1]:
@@ -127,7 +158,9 @@ def _paths(source: YamlFile, out: Path) -> dict[Place, str]:
     return found
 
 
-def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -> str | None:
+def _edited(
+    source: YamlFile, heading: list[str], reasons: dict[str, str], wanted: dict[str, object]
+) -> str | None:
     """The user's text with candidates left out commented away; None where it has no such form."""
     words: dict[Place, str] = {("name",): _scalar(wanted["name"])}
     for place in source.words:
@@ -142,8 +175,7 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
     # No word moves to another line, so the lines of items stay theirs.
     ends = "\r\n" if "\r\n" in source.text else "\n"
     lines = source.replaced(words).splitlines(keepends=True)
-    reasons = {item.name: item.reason for item in screening.choice.verdicts if not item.chosen}
-    names = [item["name"] for item in source.data["parameters"]]  # type: ignore[attr-defined]
+    names = [str(item["name"]) for item in source.data["parameters"]]  # type: ignore[attr-defined]
     for (first, last), name in reversed(list(zip(spans, names, strict=True))):
         if name not in reasons:
             continue
@@ -163,7 +195,7 @@ def _edited(source: YamlFile, screening: Screening, wanted: dict[str, object]) -
             lines[-1] += ends
         lines.append(f"store: {_scalar(wanted['store'])}{ends}")
     top = next((n for n, line in enumerate(lines) if not line.startswith("# yaml-language")), 0)
-    lines[top:top] = [f"# {line}{ends}" for line in _heading(screening)]
+    lines[top:top] = [f"# {line}{ends}" for line in heading]
     return "".join(lines)
 
 

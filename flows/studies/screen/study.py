@@ -33,17 +33,16 @@ def screen(on: StudyContext, request: ScreeningRequest, out: Out = None) -> Stud
     if out is not None:
         check_out(on.campaign.file, out)
     found = screen_campaign(on.campaign, request, on.working)
-    written = [on.folder / SCREENING.file]
-    SCREENING.write(written[0], found)
-    if out is not None:
-        written.append(write_proposal(on.campaign.file, found, out))
+    record = on.folder / SCREENING.file
+    SCREENING.write(record, found)
     return StudyResult(
         found,
         proposed(found),
         summary(found),
         tables(found),
         lines(found),
-        written,
+        [record],
         screening_charts(found) if on.charted else {},
         json_file=on.folder / "screening.json",
+        outputs=() if out is None else [lambda: [write_proposal(on.campaign.file, found, out)]],
     )

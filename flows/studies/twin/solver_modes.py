@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.yaml_file import read_yaml
 from modetune.core.correlation.pairing import Pairing, pair_by_shape
 from modetune.core.errors import CampaignError, SolverMissing
 from modetune.core.modes import Floats, ModeSet
@@ -21,6 +22,7 @@ from modetune.core.storage.keys import Json
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign, load_campaign
 from modetune.flows.campaign.case import EXTRA_MODES
+from modetune.flows.campaign.schema import override
 from modetune.flows.campaign.test import tracking_nodes
 from modetune.flows.report.tables import Column, Table, json_object
 from modetune.flows.updating.mode_source import model_modes, parse_values
@@ -70,6 +72,11 @@ def run_twin(
     """
     if len(set(solvers)) != len(solvers):
         raise CampaignError(f"--solvers names one twice: {', '.join(solvers)}")
+    if override(read_yaml(campaign_file, "a campaign"), settings).get("configurations"):
+        raise CampaignError(
+            f"{campaign_file}: solvers are compared on one model, and the campaign has several "
+            "configurations; give a campaign file with one of them as `model` and `test`"
+        )
     campaigns: list[Campaign] = []
     absent: list[tuple[str, str]] = []
     for solver in solvers:

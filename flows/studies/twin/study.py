@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modetune.core.errors import CampaignError
 from modetune.flows.report.tables import Table
 from modetune.flows.studies.result import StudyResult
 from modetune.flows.studies.study import At, CampaignOptions, StudyContext, study
@@ -38,9 +39,10 @@ def twin(
     """Run the model's modal analysis on several solvers and compare their modes."""
     from modetune.flows.studies.twin.solver_modes import run_twin, twin_parts, twin_summary
 
-    found = run_twin(
-        options.campaign_file, solvers.split(","), options.at or [], options.settings or []
-    )
+    named = solvers.split(",")
+    if len(named) < 2:
+        raise CampaignError(f"--solvers {solvers}: name two or more, separated by commas")
+    found = run_twin(options.campaign_file, named, options.at or [], options.settings or [])
     parts = twin_parts(found)
     names = [item.solver for item in found.solvers]
     alone = len(names) == 1

@@ -152,6 +152,14 @@ def test_correlations_that_few_tests_show_by_chance_are_drawn_to_none() -> None:
     assert np.median(largest) < 0.6
 
 
+def test_two_tests_determine_no_correlation() -> None:
+    # All correlations of two rows are 1 or -1, so that their matrix has rank one.
+    found = measurement_of(table(HZ * (1.0 + np.array([[0.001, -0.002, 0.003], [0.0, 0.0, 0.0]]))))
+    assert found.deviations is not None
+    assert found.deviations.correlation is not None
+    np.testing.assert_array_equal(found.deviations.correlation, np.eye(3))
+
+
 def test_tests_that_drift_are_worth_less_and_said_so() -> None:
     random, n = np.random.default_rng(7), 60
     drift = np.cumsum(random.standard_normal(n))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from modetune.flows.studies.screen.design import Design
 from modetune.flows.studies.screen.proposal import proposed_name, write_proposal
 from modetune.flows.studies.screen.record import Responses, Screening
 from modetune.flows.studies.screen.sensitivity import LocalSensitivity
+from tests.command_line import run_command
 
 SIX_MASS = Path(__file__).resolve().parents[4] / "configs" / "six_mass"
 
@@ -228,6 +230,19 @@ def test_nothing_chosen_writes_nothing(campaign_file: Path) -> None:
     with pytest.raises(CampaignError, match="rejected all parameters"):
         write_proposal(campaign_file, screening(KS, ()), out)
     assert not out.exists()
+
+
+def test_the_result_is_printed_although_the_file_cannot_be_written(campaign_file: Path) -> None:
+    words = ("screen", "campaign.yaml", "--method", "local", "--out", "measured.csv/p.yaml")
+    done = run_command(campaign_file.parent, *words)
+    assert done.returncode == 5, done.stderr
+    assert "proposed: k" in done.stdout
+    assert "measured.csv is a file, and a folder is needed there" in done.stderr
+    done = run_command(campaign_file.parent, *words, "--json")
+    assert done.returncode == 5, done.stderr
+    found = json.loads(done.stdout)
+    assert found["status"] == "done"
+    assert "a folder is needed there" in found["failure"]
 
 
 def test_names_get_one_ending_and_stay_short() -> None:
