@@ -2,12 +2,14 @@
 
     python -m modetune.configs.cases garteur FOLDER
 
-and so bracket, fixture, four_storey, frame, launcher, mast, six_mass. Decks are written, not kept:
-for campaigns of this repository to run in place, FOLDER is the case's own (configs/garteur).
+and so bracket, fixture, four_storey, frame, launcher, mast, six_mass. Decks are written, not kept.
+A campaign of a clone that is run in place (configs/garteur/twin.yaml) writes its decks itself;
+other campaigns whose files are missing name the command that writes them.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from importlib import import_module
@@ -38,6 +40,40 @@ def write_case(case: str, folder: Path) -> None:
                 shutil.copyfile(file, folder / file.name)
     for module, write in DECKS[case]:
         getattr(import_module(f"modetune.configs.{module}"), write)(folder)
+
+
+def case_of(campaign: Path) -> str:
+    """Return the case that a campaign file is of, or an unchanged copy of; empty without one."""
+    for case in DECKS:
+        own = Path(__file__).parent / case / campaign.name
+        if own.is_file() and own.read_bytes() == campaign.read_bytes():
+            return case
+    return ""
+
+
+def write_own_decks(campaign: Path) -> bool:
+    """Write the decks of a campaign that lies in this clone; return whether it does.
+
+    A case whose test is made by a solver run is left alone. Raises OSError.
+    """
+    root, case = Path(__file__).resolve().parent, campaign.resolve().parent.name
+    known = case in DECKS and all(write == "write_decks" for _, write in DECKS[case])
+    if campaign.resolve().parent != root / case or not known or not (root.parent / ".git").exists():
+        return False
+    write_case(case, campaign.resolve().parent)
+    return True
+
+
+def writing_command(campaign: Path, missing: str) -> str:
+    """Return what writes a missing file of a case's campaign, in a sentence; empty if unknown."""
+    case = case_of(campaign)
+    if not case:
+        return ""
+    folder = os.path.relpath(campaign.parent)
+    if missing == "modes.csv":
+        return f"the first lines of {campaign.name} say how modetune identify makes it from lab.unv"
+    program = "garteur.lab" if (case, missing) == ("garteur", "lab.unv") else f"cases {case}"
+    return f"`python -m modetune.configs.{program} {folder}` writes it"
 
 
 if __name__ == "__main__":

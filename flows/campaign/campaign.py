@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -429,10 +430,12 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
     if without:
         problems += without
         return None
+    deck = source.path.parent / file.model.deck
+    remedy = "" if deck.exists() else _written_deck(source, file)
     try:
-        solver = bind_solver(file.model, source.path.parent / file.model.deck, parameters)
+        solver = bind_solver(file.model, deck, parameters)
     except ModelError as error:
-        problems.append(f"{error} (named in {source.where(('model', 'deck'))})")
+        problems.append(f"{error} (named in {source.where(('model', 'deck'))}){remedy}")
         return None
     for position, parameter in enumerate(parameters):
         place = source.where(("parameters", position))
@@ -448,6 +451,20 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
         return solver
     where = f"{source.where(('model', 'rigid_modes'))}: model.rigid_modes"
     return replace(solver, rigid_modes=RigidByHand(number, where))
+
+
+def _written_deck(source: YamlFile, file: CampaignFile) -> str:
+    """Write the missing deck of an example in a clone, or return what writes it, after a colon."""
+    if not source.path.is_file():
+        return ""
+    from modetune.configs.cases import write_own_decks, writing_command
+
+    with suppress(OSError):
+        if write_own_decks(source.path):
+            logger.warning("wrote the decks of the example %s", source.path.parent.name)
+            return ""
+    command = writing_command(source.path, file.model.deck)
+    return command and f": {command}"
 
 
 def core_problems(source: YamlFile, run: RunSection, cores: int) -> list[str]:

@@ -39,7 +39,12 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         )
     except CampaignError as error:
         where = source.where(("test", "modes"))
+        lacking = [name for name in names if not (source.path.parent / name).exists()]
+        remedies = [_remedy(source, name) for name in lacking]
         problems += [f"{problem} (named in {where})" for problem in error.problems]
+        problems += [
+            f"{name}: {text}" for name, text in zip(lacking, remedies, strict=True) if text
+        ]
         return None
     try:
         measurement = _corrected(measurement, file)
@@ -93,6 +98,15 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
 def _corrected(measurement: Measurement, file: CampaignFile) -> Measurement:
     sensors = file.test.sensors
     return correct_sensors(measurement, sensors.reverse, sensors.exchange, sensors.drop)
+
+
+def _remedy(source: YamlFile, name: str) -> str:
+    """Return what writes a missing file of an example; empty for other campaigns."""
+    if not source.path.is_file():
+        return ""
+    from modetune.configs.cases import writing_command
+
+    return writing_command(source.path, name)
 
 
 def _with_repeats(
