@@ -61,6 +61,8 @@ REMEDY = {
 HALF, DOUBLE = 0.5, 2.0
 #: More elements of one card than this are one target.
 ALONE = 12
+#: A card with its number.
+NUMBERED = re.compile(r"[A-Z]\w*\*?[\s,]+(\d+)", re.IGNORECASE)
 #: What preprocessors write before a name in the comment above a card.
 TITLE = re.compile(r"^\$[\s*$-]*(?:(?:femap|hm|patran)?\s*(?:material|property|name|mat|prop)\b"
                    r"[^:\"]*[:\"])?\s*(.*?)[\s\"*$-]*$", re.IGNORECASE)  # fmt: skip
@@ -436,9 +438,16 @@ def _element_targets(structure: Structure, family: Cards) -> Iterator[Target]:
 
 
 def _title(structure: Structure, card: NastranCard) -> str:
-    """What the comment above a card calls it; empty where it has no words."""
-    first = card.lines[0]
-    above = structure.deck.lines[first - 1].text.strip() if first else ""
+    """What the comment above a card calls it; empty where it has no words.
+
+    A property below the material of its number has the comment of both.
+    """
+    first, lines = card.lines[0], structure.deck.lines
+    own = NUMBERED.match(lines[first].text)
+    above = lines[first - 1].text.strip() if first else ""
+    other = NUMBERED.match(above)
+    if own and other and own.group(1) == other.group(1) and first > 1:
+        above = lines[first - 2].text.strip()
     match = TITLE.match(above)
     title = match.group(1).strip() if match else ""
     words = re.search(r"[^\W\d_]{2}", title) and "|" not in title and len(title) <= 40

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
+from modetune.core.parameters import Parameter
 from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.trust import Trust
 from modetune.flows.report.tables import Column, Table, columns_of, table_of
@@ -75,6 +76,16 @@ TRUST = (
 )
 
 
+def _meaning(item: Parameter) -> str:
+    """Return quantity and target of a parameter; numbers are of a kind: property 1."""
+    words = item.quantity.replace("_", " ")
+    words = words.replace("youngs", "Young's").replace("poissons", "Poisson's")
+    kind = [item.by] if item.targets and item.targets[0][:1].isdecimal() else []
+    return " of ".join(
+        [words, *([" ".join([*kind, ", ".join(item.targets)])] * bool(item.targets))]
+    )
+
+
 def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
     """Return a row for each parameter in the campaign's order, then for each expression."""
     stuck, trust = record.parameters.at_bounds(record.updated), record.trust
@@ -87,13 +98,11 @@ def parameter_rows(record: CampaignRecord) -> tuple[ParameterRow, ...]:
         deck, error = float(record.deck_values[place]), float(errors[place])
         before, after = (item.number(deck, value) for value in (start, ends[item]))
         factor = deck if item.values == "relative" else 1.0
-        words = item.quantity.replace("_", " ")
-        words = words.replace("youngs", "Young's").replace("poissons", "Poisson's")
         rows.append(
             ParameterRow(
                 name=item.name,
                 quantity=item.quantity,
-                meaning=" of ".join([words, *([", ".join(item.targets)] * bool(item.targets))]),
+                meaning=_meaning(item),
                 deck_value=deck,
                 updated_value=after,
                 unit=unit_of(record.units, item.quantity),

@@ -170,9 +170,10 @@ def _of_target(
 
 
 def _name(expected: Expected, target: Target, item: int, taken: set[str]) -> str:
-    """Return a unique name from quantity and target."""
+    """Return a unique name from quantity and target: by the deck's comment if it has a number."""
     several = f"{target.kind}s" if len(target.names) > 1 else target.names[0]
-    text = f"{expected.letter}{item or ''}_{several}"
+    called = target.title if several.isdecimal() and target.title else several
+    text = f"{expected.letter}{item or ''}_{called}"
     plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", text)[:56].rstrip("_.-")
     name, count = plain, 2
     while name in taken:
