@@ -15,11 +15,13 @@ the unit of length, x [mm], in place of the row `metres`.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.test_files.modes_csv import POINT
 from modetune.adapters.test_files.tables import (
     FileTable,
     TableRow,
@@ -129,20 +131,25 @@ def _add_point(
     row: TableRow, points: dict[int, tuple[str, list[float]]], problems: list[str]
 ) -> None:
     name, *values = row.fields
-    if not (name.isascii() and name.isdecimal() and len(name) < 19):  # what 64 bits hold
-        problems.append(f"{row.where}: `{name}` is neither a node number, line nor face")
+    number = re.fullmatch(POINT, name, re.ASCII | re.IGNORECASE)
+    if number is None:
+        problems.append(
+            f"{row.where}: `{name}` is neither a node number, line nor face; give each point a "
+            "number, the same as in the table of modes or histories"
+        )
         return
+    node = int(number.group(1))
     numbers = _numbers(row, 12 if len(values) > 3 else 3, problems)
     if not numbers:
         return
-    if int(name) in points:
-        problems.append(f"{row.where}: node {name} is in {points[int(name)][0]} already")
+    if node in points:
+        problems.append(f"{row.where}: node {node} is in {points[node][0]} already")
     frame = np.array(numbers[3:] or np.eye(3).ravel()).reshape(3, 3)
     if np.abs(frame).max() > 2.0 or np.abs(frame @ frame.T - np.eye(3)).max() > _RIGHT:
         problems.append(
-            f"{row.where}: the directions of node {name} are not unit vectors at right angles"
+            f"{row.where}: the directions of node {node} are not unit vectors at right angles"
         )
-    points[int(name)] = row.where, [*numbers[:3], *frame.ravel().tolist()]
+    points[node] = row.where, [*numbers[:3], *frame.ravel().tolist()]
 
 
 def _numbers(row: TableRow, count: int, problems: list[str]) -> list[float]:

@@ -67,7 +67,7 @@ def history_of(table: FileTable) -> TimeHistories:
         if sensor is None or unit is None:
             problems.append(
                 f"{head.where}, column {place}: {name!r} is not a channel with its unit, such as "
-                "12.z [m/s^2] or 1.z [N]"
+                "12.z [m/s^2] or 1.z [N]: the number of a point, a direction and a unit"
             )
         else:
             columns.append((*sensor[0], sensor[1], *unit))

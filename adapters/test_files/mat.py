@@ -10,6 +10,13 @@ structs by their last part:
     dof            n_dof numbers node.0c (12.03: node 12, z), rows [node, component], or names 12:+Z
     po, res, dof   frequencies with damping, shapes by rows and freedoms, as SDT writes them
     points         node, nodes, geometry, xyz: rows [node x y z], or [node 0 0 0 x y z]
+
+Files without modes may hold a recording:
+
+    time           t, time: in s; or fs, the samples a second; or dt, s
+    values         y, data, acc, signals, ...: (n_times, n_channels), or the other way round
+    dof            of each channel, as above
+    unit           units: one text for all channels, or one each (m/s^2, g, N)
 """
 
 from __future__ import annotations
@@ -19,7 +26,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -27,12 +34,16 @@ from numpy.typing import NDArray
 
 from modetune.adapters.hdf5_reader import ALL, read_hdf5
 from modetune.adapters.regular_file import read_regular
-from modetune.adapters.test_files.file_kind import FileKind, Format
+from modetune.adapters.test_files.file_kind import FileKind, Format, kind_of
+from modetune.adapters.test_files.histories import channel_unit, recording
 from modetune.adapters.test_files.modes_csv import sensor_of
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
 from modetune.core.modes import Floats, Integers, MeasuredModes, mode_set
+
+if TYPE_CHECKING:
+    from modetune.core.measurement.time_histories import TimeHistories
 
 FREQUENCIES = {
     **dict.fromkeys(
@@ -54,6 +65,14 @@ DAMPING = (
 SHAPES = ("phi", "psi", "ms", "shapes", "mode_shapes", "modeshapes", "modes", "shape", "v", "res")
 DOFS = ("dof", "dofs", "sensors", "channels", "labels", "names", "channel_names")
 POINTS = ("node", "nodes", "geometry", "points", "xyz", "coordinates", "grid")
+TIMES, RATES, STEPS = ("t", "time", "times"), ("fs", "samplerate", "sampling_rate"), ("dt",)
+RECORDED = (
+    *("y", "data", "acc", "acceleration", "accelerations", "signals", "responses", "values", "x"),
+    *("vel", "velocity", "velocities", "disp", "displacement", "displacements", "histories"),
+)
+UNITS = ("unit", "units")
+#: Fewer values in a row are no recording.
+LEAST_TIMES = 17
 #: What SciPy raises on files that are damaged or something else.
 _BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
@@ -75,6 +94,68 @@ def read_mat(path: Path, kind: FileKind) -> Measurement:
         )
     note = (f"{path}: {', '.join(taken)}",) if taken else ()
     return Measurement(modes, points, notes=note)
+
+
+def read_mat_histories(path: Path, notes: list[str]) -> list[TimeHistories]:
+    """Read the recording of a file; none where it has modes, or no times.
+
+    Raises CampaignError with what is missing.
+    """
+    found = _variables(path, kind_of(path).description)
+    recorded = _recorded(found)
+    if recorded is None or _modes_there(found):
+        return []
+    name, values, times = recorded
+    nodes, components, signs, named = _dofs(path, found, name, values.shape[1], "channels")
+    units = next((np.ravel(texts) for _, texts in _choices(found, UNITS)), np.zeros(0))
+    labels = [str(text).strip() for text in units] if units.dtype.kind == "U" else []
+    if len(labels) == 1:
+        labels *= values.shape[1]
+    scales = [channel_unit(label) for label in labels]
+    if len(labels) != values.shape[1] or None in scales:
+        raise CampaignError(
+            f"{path}: no variable `unit` gives the unit of {name} ({', '.join(UNITS)}: 'm/s^2', "
+            "'g', 'N'; one for all channels, or one for each)"
+        )
+    notes.append(f"{path}: channels are {name}, sensors are {named}, units are {labels[0]} ...")
+    return [
+        recording(
+            [
+                (int(node), int(part), float(sign), *scale, column, times, f"{path}, {name}")
+                for node, part, sign, scale, column in zip(
+                    nodes, components, signs, scales, values.T, strict=True
+                )
+                if scale is not None
+            ]
+        )
+    ]
+
+
+def _modes_there(found: Variables) -> bool:
+    """Whether a file has frequencies with shapes of their number."""
+    return any(
+        shapes.ndim == 2 and frequencies.size in shapes.shape
+        for _, frequencies, _ in _frequencies(found)
+        for _, shapes in _choices(found, SHAPES)
+    )
+
+
+def _recorded(found: Variables) -> tuple[str, Floats, Floats] | None:
+    """Return the name of the recorded values, (n_times, n_channels), and their times, s."""
+    times = next((np.ravel(t) for _, t in _choices(found, TIMES) if _is_vector(t)), np.zeros(0))
+    rates = [(v, 1.0) for _, v in _choices(found, RATES)]
+    rates += [(v, -1.0) for _, v in _choices(found, STEPS)]
+    steps = [float(np.ravel(v)[0]) ** -power for v, power in rates if v.size == 1 and v.min() > 0.0]
+    for name, values in _choices(found, RECORDED):
+        if values.dtype.kind not in "iuf" or values.ndim != 2 or max(values.shape) < LEAST_TIMES:
+            continue
+        if times.size >= LEAST_TIMES and times.size in values.shape:
+            rows = values if values.shape[0] == times.size else values.T
+            return name, rows.astype(np.float64), times.astype(np.float64)
+        if not times.size and steps:
+            rows = values if values.shape[0] == max(values.shape) else values.T
+            return name, rows.astype(np.float64), steps[0] * np.arange(rows.shape[0])
+    return None
 
 
 def _variables(path: Path, said: str) -> Variables:
@@ -166,9 +247,9 @@ def _frequencies(found: Variables) -> Iterator[tuple[str, Floats, Floats]]:
 
 
 def _dofs(
-    path: Path, found: Variables, shapes: str, count: int
+    path: Path, found: Variables, shapes: str, count: int, of: str = "rows"
 ) -> tuple[Integers, Integers, Floats, str]:
-    """Return nodes, components 1..6 and signs of the rows, and the variable.
+    """Return nodes, components 1..6 and signs of the rows (or `of` it), and the variable.
 
     Raises CampaignError.
     """
@@ -190,7 +271,7 @@ def _dofs(
             ids, components = table[:, :2].astype(np.int64).T
             return ids, components, table[:, 2], name
     raise CampaignError(
-        f"{path}: {shapes} has {count} rows and no variable names their nodes and directions; add "
+        f"{path}: {shapes} has {count} {of} and no variable names their nodes and directions; add "
         "`dof` with node.0c a row (12.03: node 12, z), or with names such as 12:+Z; the file holds "
         f"{_told(found)}"
     )
@@ -221,4 +302,4 @@ def _told(found: Variables) -> str:
     return ", ".join(texts) + (", ..." if len(found) > 8 else "") or "nothing that is numbers"
 
 
-FORMAT = Format(read=read_mat)
+FORMAT = Format(read=read_mat, read_histories=read_mat_histories)

@@ -42,9 +42,9 @@ from modetune.core.storage.files import writing
 DEVIATIONS = ("frequency_deviation", "shape_deviation")
 #: Rows of one value a mode that are no sensors.
 QUANTITIES = ("frequency_hz", "damping_ratio", *DEVIATIONS)
-_SENSOR = re.compile(
-    r"(?:[^:]+:)?(?:node|point|n|p)?\s*([0-9]{1,18})(?:[.:_ ]\s*([+-]?))?(r?[xyz])([+-]?)"
-)
+#: A point: its number, which 64 bits hold, perhaps after a word.
+POINT = r"(?:node|point|sensor|pt|mp|n|p|s)?\s*([0-9]{1,18})"
+_SENSOR = re.compile(rf"(?:[^:]+:)?{POINT}(?:[.:_ ]\s*([+-]?))?(r?[xyz])([+-]?)")
 
 
 def read_modes_csv(path: Path) -> MeasuredModes:
@@ -95,7 +95,7 @@ def modes_of(table: FileTable, computed: bool = False) -> Measurement:
         else:
             problems.append(
                 f"{row.where}: row `{name}` is neither {', '.join(QUANTITIES)} nor a sensor such "
-                "as 101.x"
+                "as 101.x, the number of a point and a direction"
             )
     if "frequency_hz" not in known:
         problems.append(f"{header.where}: no row `frequency_hz` follows")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from modetune.core.measurement.stabilisation import OrderPoles, Stability
+from modetune.core.modes import Floats, MeasuredModes
 from modetune.flows.report.campaign_charts import responses
 from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
 from modetune.flows.report.matplotlib_charts import save_all
@@ -28,25 +29,38 @@ POLES: dict[Stability, tuple[str, str, float, str]] = {
 
 def stabilisation_chart(title: str, found: Identification) -> Chart:
     """Poles over order and frequency, the chosen as lines, above the sum of the functions."""
-    lines = found.frfs.frequencies_hz
-    chosen = found.modes.modes.frequencies_hz.tolist()
+    total = np.abs(found.frfs.values).sum(axis=1)
+    label = f"sum of |{found.frfs.kind}|"
+    return _diagram(title, found.orders, found.modes, found.frfs.frequencies_hz, total, label)
+
+
+def _diagram(
+    title: str,
+    orders: tuple[OrderPoles, ...],
+    modes: MeasuredModes,
+    lines: Floats,
+    total: Floats,
+    label: str,
+) -> Chart:
+    """Poles of all orders above a curve of the measured responses, (n_lines,), called label."""
+    chosen = modes.modes.frequencies_hz.tolist()
     above = [
         Rule("chosen" if place == 0 else "", value, AFTER, "-", upright=True)
         for place, value in enumerate(chosen)
     ]
     below = [Rule("", value, AFTER, "-", upright=True) for value in chosen]
-    sums = Curve("", lines, np.abs(found.frfs.values).sum(axis=1), TEST, width=1.0)
+    sums = Curve("", lines, total, TEST, width=1.0)
     span = (float(lines[0]), float(lines[-1]))
     panels = (
         Panel(
-            (*(_poles(found.orders, kind) for kind in POLES), *above),
+            (*(_poles(orders, kind) for kind in POLES), *above),
             Axis(span=span),
-            Axis("order (pairs of poles)", span=(0.0, found.settings.order + 1.0)),
+            Axis("order (pairs of poles)", span=(0.0, max(item.order for item in orders) + 1.0)),
         ),
         Panel(
             (sums, *below),
             Axis("frequency, Hz", span=span),
-            Axis(f"sum of |{found.frfs.kind}|", log=True),
+            Axis(label, log=True),
         ),
     )
     return Chart(
@@ -69,13 +83,13 @@ def synthesis_chart(found: Identification, place: int, word: str) -> Chart:
     return responses(title, found.frfs.kind, found.frfs.frequencies_hz, curves)
 
 
-def auto_mac_chart(found: Identification) -> Chart:
-    """MAC of the modes with themselves, as a map with its values."""
+def auto_mac_chart(modes: MeasuredModes, auto_mac: Floats) -> Chart:
+    """MAC of the modes with themselves, (n_modes, n_modes), as a map with its values."""
     names = tuple(
         f"{place}: {frequency:.4g}"
-        for place, frequency in enumerate(found.modes.modes.frequencies_hz, start=1)
+        for place, frequency in enumerate(modes.modes.frequencies_hz, start=1)
     )
-    heat = HeatMap(found.auto_mac, "{row} with {column}: MAC {value:.3f}", "MAC")
+    heat = HeatMap(auto_mac, "{row} with {column}: MAC {value:.3f}", "MAC")
     panel = Panel((heat,), Axis("mode: Hz", names, slant=60), Axis(names=names))
     side = max(3.2, 0.5 * len(names) + 1.2)
     title = "auto-MAC of the identified modes"
@@ -90,11 +104,28 @@ def write_figures(folder: Path, title: str, found: Identification) -> tuple[Path
     if found.driving_points:
         shown["driving point"] = found.driving_points[0]
     diagram = stabilisation_chart(title, found)
-    charts = {"stabilisation": diagram, "auto_mac": auto_mac_chart(found)}
+    charts = {"stabilisation": diagram, "auto_mac": auto_mac_chart(found.modes, found.auto_mac)}
     charts |= {
         f"synthesis_{word.replace(' ', '_')}": synthesis_chart(found, place, word)
         for word, place in shown.items()
     }
+    return (*save_all(charts, folder), write_chart(folder / "stabilisation.html", diagram))
+
+
+def write_operational_figures(
+    folder: Path,
+    title: str,
+    modes: MeasuredModes,
+    auto_mac: Floats,
+    orders: tuple[OrderPoles, ...],
+    spectrum: tuple[Floats, Floats],
+) -> tuple[Path, ...]:
+    """Charts of modes from responses alone, the diagram also as a page.
+
+    spectrum: its lines, Hz, and the sum of the responses' spectra. Raises StorageUnavailable.
+    """
+    diagram = _diagram(title, orders, modes, *spectrum, "sum of the responses' spectra")
+    charts = {"stabilisation": diagram, "auto_mac": auto_mac_chart(modes, auto_mac)}
     return (*save_all(charts, folder), write_chart(folder / "stabilisation.html", diagram))
 
 

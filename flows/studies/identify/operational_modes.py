@@ -46,6 +46,8 @@ SAMPLES = 2.5
 BLOCK_ROWS = 30
 #: Pairs of poles that distinguish a structure from noise; more split the poles of modes.
 MOST_ORDER = 30
+#: Samples of a segment of the spectra that figures show: 1,024 lines, more than pixels.
+SEGMENT = 2048
 #: A mode is stable at one in four orders at least; noise reached one in five.
 LASTING = 4
 
@@ -55,7 +57,8 @@ class OperationalModes:
     """Modes of responses to unknown forces.
 
     modes: real shapes, damping, ascending in frequency. phase_collinearity, stable_orders:
-    (n_modes,). auto_mac: (n_modes, n_modes). tracks: all; notes: for people.
+    (n_modes,). auto_mac: (n_modes, n_modes). tracks: all; orders: the poles of each. lines_hz,
+    spectrum: (n_lines,), the sum of the responses' spectra in the band. notes: for people.
     """
 
     modes: MeasuredModes
@@ -63,6 +66,9 @@ class OperationalModes:
     auto_mac: Floats
     stable_orders: tuple[int, ...]
     tracks: tuple[Track, ...]
+    orders: tuple[OrderPoles, ...]
+    lines_hz: Floats
+    spectrum: Floats
     notes: tuple[str, ...]
 
     __repr__ = brief
@@ -84,12 +90,18 @@ def identify_test(
     """
     if out is not None:
         measurements.check_out(out)
-    if outputs is not None and figures is not None:
-        raise CampaignError("--figures shows response functions, and none were measured")
     found: Identification | OperationalModes
     drawn: tuple[Path, ...] = ()
+    title = ", ".join(path.name for path in files)
     if outputs is not None:
         found = operational_modes(outputs, settings)
+        if figures is not None:
+            from modetune.flows.studies.identify.figures import write_operational_figures
+
+            spectrum = found.lines_hz, found.spectrum
+            drawn = write_operational_figures(
+                figures, title, found.modes, found.auto_mac, found.orders, spectrum
+            )
     elif test.frfs is None:
         raise CampaignError("the test has no frequency response functions to identify modes from")
     else:
@@ -97,7 +109,7 @@ def identify_test(
         if figures is not None:
             from modetune.flows.studies.identify.figures import write_figures
 
-            drawn = write_figures(figures, ", ".join(path.name for path in files), found)
+            drawn = write_figures(figures, title, found)
     if out is not None:
         _write(out, found, test, ", ".join(map(str, files)))
     return found, drawn
@@ -158,6 +170,9 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
     modes = mode_set(
         np.abs(poles) / (2.0 * np.pi), real, nodes, components, -poles.real / np.abs(poles), "max"
     )
+    length = min(values.shape[0], SEGMENT)
+    lines, spectra = signal.welch(values, 1.0 / step, nperseg=length, axis=0)
+    inside = (lines > 0.0) & (lines >= low) & (lines <= high)
     seconds = run.values.shape[0] * run.step_s
     slowest = float(modes.frequencies_hz[0] * modes.damping_ratios[0] * seconds)
     notes = [
@@ -176,6 +191,9 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         auto_mac=auto_mac(real),
         stable_orders=tuple(tracks[chosen[place]].n_stable for place in at),
         tracks=tracks,
+        orders=judged,
+        lines_hz=lines[inside],
+        spectrum=spectra[inside].sum(axis=1),
         notes=tuple(notes),
     )
 

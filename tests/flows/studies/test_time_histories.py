@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import pyuff
+import scipy.io
 from scipy import linalg
 
 import modetune
@@ -206,7 +207,9 @@ def test_universal_files_of_blows_are_averaged_and_signed(tmp_path: Path) -> Non
 def test_responses_alone_become_a_test_that_a_campaign_reads(tmp_path: Path) -> None:
     pytest.importorskip("pyoma2", reason="pyOMA2 is not installed (modetune[oma])")
     write_csv(tmp_path / "noise.csv", driven("slow", 20_000, everywhere=True), with_force=False)
-    ended = run_command(tmp_path, "identify", "noise.csv", "--json", "--out", "modes.csv")
+    ended = run_command(
+        tmp_path, "identify", "noise.csv", "--json", "--out", "modes.csv", "--figures", "drawn"
+    )
     assert ended.returncode == 0, ended.stderr
     told = json.loads(ended.stdout)
     assert (told["output_only"], told["normalisation"], len(told["modes"])) == (True, "max", 2)
@@ -214,6 +217,47 @@ def test_responses_alone_become_a_test_that_a_campaign_reads(tmp_path: Path) -> 
     assert read is not None
     assert read.modes.nodes.tolist() == [1, 2]
     assert "shapes have no scale" in (tmp_path / "modes.csv").read_text()
+    drawn = {"stabilisation.png", "stabilisation.html", "auto_mac.png"}
+    assert {path.name for path in (tmp_path / "drawn").iterdir()} == drawn
+
+
+def test_histories_of_a_matlab_file_are_those_of_the_table(tmp_path: Path) -> None:
+    times = 0.01 * np.arange(400)
+    values = np.random.default_rng(2).standard_normal((400, 3))
+    rows = (",".join(f"{value:.17g}" for value in row) for row in np.column_stack([times, values]))
+    head = "time [s],1.z [N],s2.z [g],3.-x [g]"  # a letter before the number of a point
+    (tmp_path / "run.csv").write_text("\n".join([head, *rows]) + "\n")
+    labels = {"dof": ["1:+Z", "2:+Z", "3:-X"], "unit": ["N", "g", "g"]}
+    of_time = {"time": times, "acc": values}
+    of_rate = {"fs": 100.0, "data": values.T}
+    (table,), _ = read_histories([tmp_path / "run.csv"])
+    for own in (of_time, of_rate):
+        scipy.io.savemat(tmp_path / "run.mat", {**own, **labels})
+        (read,), notes = read_histories([tmp_path / "run.mat"])
+        np.testing.assert_allclose(read.values, table.values, rtol=1e-15)
+        for name in ("nodes", "components", "signs", "forces"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(table, name))
+        assert read.step_s == pytest.approx(0.01, rel=1e-12)  # the mean of 399 differences
+        assert (read.kind, len(notes)) == ("accelerance", 1)
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        ({}, "acc has 3 channels and no variable names their nodes and directions"),
+        ({"dof": [1.03, 2.03, 3.03]}, "no variable `unit` gives the unit of acc"),
+        ({"dof": [1.03, 2.03, 3.03], "unit": "bar"}, "no variable `unit` gives the unit of acc"),
+    ],
+)
+def test_what_a_matlab_recording_lacks_is_said(
+    tmp_path: Path, own: dict[str, object], said: str
+) -> None:
+    times = 0.01 * np.arange(400)
+    recorded = {"time": times, "acc": np.ones((400, 3))}
+    scipy.io.savemat(tmp_path / "run.mat", {**recorded, **own})
+    ended = run_command(tmp_path, "identify", "run.mat")
+    assert ended.returncode == 2, ended.stderr
+    assert said in ended.stderr
 
 
 HEAD = "time [s],1.z [N],2.z [m/s^2]\n"
