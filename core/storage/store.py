@@ -18,7 +18,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -29,7 +29,7 @@ from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import StorageUnavailable, StoreDamaged
 from modetune.core.measurement.registration import Registration
 from modetune.core.storage.codec import read_value, write_value
-from modetune.core.storage.files import storage_errors, writing
+from modetune.core.storage.files import check_writable, storage_errors, writing
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.sealed_file import content, holds, read_head, sealed
 from modetune.core.updating.job_results import ModalResult, ModesForecast, Result
@@ -93,6 +93,27 @@ class Store:
 
     def path(self, key: str) -> Path:
         return self.folder / key[:2] / f"{key}.{FORMAT}.h5"
+
+    @property
+    def is_read_only(self) -> bool:
+        """Whether the folder is there and may be read, but not written."""
+        may = os.access(self.folder, os.R_OK | os.X_OK)
+        return may and not os.access(self.folder, os.W_OK)
+
+    def check_usable(self, remedy: str) -> None:
+        """Warn of a store that can only be read. Raises StorageUnavailable for any other trouble.
+
+        What such a store has is used, and the first result that it lacks ends the run.
+        """
+        if not self.is_read_only:
+            check_writable(self.folder, remedy)
+            return
+        logger.warning(
+            "the store %s can only be read: its results are used, and the first one that it lacks "
+            "ends the run; to compute more, %s",
+            self.folder,
+            remedy,
+        )
 
     def __contains__(self, key: str) -> bool:
         path = self.path(key)
@@ -184,7 +205,13 @@ class Store:
 
         waiting: called over and over while another holds it; it sleeps a little, or raises.
         """
-        with FileLock(self.folder / "locks" / key).held(waiting):
+        lock = FileLock(self.folder / "locks" / key)
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(lock.held(waiting))
+            except StorageUnavailable as error:
+                text = f"the store {self.folder} lacks the result {key[:12]}, and {error}"
+                raise StorageUnavailable(text) from error
             yield
 
     def _set_aside(self, path: Path, inode: int) -> None:

@@ -196,11 +196,19 @@ class JobEngine:
         """Return the description stored with a job's result. Raises ModelError, SolverMissing."""
         return self.plans.note(job, self.threads)
 
-    def derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str = "") -> R:
+    def derived(
+        self,
+        asked: Json,
+        compute: Callable[[], R],
+        kind: type[R],
+        name: str = "",
+        note: Callable[[], str] = str,
+    ) -> R:
         """Return a result computed in this process, from the store if it has it.
 
         asked contains everything that can change the numbers, including the keys of the results
-        they follow from; name is the task's. Raises NotComputed if only stored results may be used
+        they follow from; name is the task's; note: says, once it is computed, what the store keeps
+        with it for people. Raises NotComputed if only stored results may be used
         and there is none.
         """
         text = canonical_json(asked)
@@ -208,12 +216,14 @@ class JobEngine:
 
         def found() -> tuple[R, Sequence[Derivation]]:
             reused = key in self.store
-            value = self._derived(key, text, compute, kind)
+            value = self._derived(key, text, compute, kind, note)
             return value, [Derivation(key, reused, time.monotonic() - begun)]
 
         return self.tasks.compute(name, found)
 
-    def _derived(self, key: str, text: str, compute: Callable[[], R], kind: type[R]) -> R:
+    def _derived(
+        self, key: str, text: str, compute: Callable[[], R], kind: type[R], note: Callable[[], str]
+    ) -> R:
         found = self._stored(key, kind)
         if found is not None:
             return found
@@ -222,18 +232,21 @@ class JobEngine:
         with self.store.lock(key, self._wait_for_another):
             found = self._stored(key, kind)  # another campaign may have computed it first
             if found is None:
-                self._compute(key, text, compute)
+                self._compute(key, text, compute, note)
                 # Read it as later runs will: the memory order of arrays affects the last digits.
                 found = self._stored(key, kind)
         if found is None:
             raise damaged_again(self.store, key)
         return found
 
-    def _compute(self, key: str, asked: str, compute: Callable[[], Result]) -> None:
+    def _compute(
+        self, key: str, asked: str, compute: Callable[[], Result], note: Callable[[], str]
+    ) -> None:
         started = time.monotonic()
         with factor_room(self.room):
             result = compute()
-        self.store.put(Entry(key, result, "modetune", "", time.monotonic() - started), asked)
+        entry = Entry(key, result, "modetune", "", time.monotonic() - started)
+        self.store.put(entry, asked, note())
 
     def _stored(self, key: str, kind: type[R]) -> R | None:
         entry = self.store.get(key)

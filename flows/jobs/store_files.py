@@ -79,7 +79,13 @@ class StoreFile:
 
 @contextmanager
 def in_use(store: Store) -> Iterator[None]:
-    """Protect the results of a store in this context. Raises StorageUnavailable."""
+    """Protect the results of a store in this context. Raises StorageUnavailable.
+
+    A store that can only be read holds no lock: who may remove results there has other means.
+    """
+    if store.is_read_only:
+        yield
+        return
     lock = FileLock(store.folder / "locks" / f"{CAMPAIGN}{uuid.uuid4().hex}")
     with lock.held(lambda: time.sleep(0.01)):
         try:

@@ -80,8 +80,8 @@ class ByMatrices(ModeFinder):
 
     @property
     def name(self) -> str:
-        held = "" if self._modes is None else self._modes.held
-        return f"{MATRICES}, factors{held}" if held else MATRICES
+        factors = "" if self._modes is None else self._modes.factors
+        return f"{MATRICES}, {factors}" if factors else MATRICES
 
     def works(self, theta: Floats, analysis: ModalAnalysis) -> list[Work]:
         if self._modes is not None:

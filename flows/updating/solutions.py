@@ -490,6 +490,9 @@ class MatrixModes:
         self._first: dict[int, ModalSet] = {}
         self._reduced: dict[str, ReducedAround] = {}
         self._around: ReducedAround | None = None
+        #: Of the newest modes, as the store has them: factors that are not in memory in double
+        #: precision.
+        self.factors = ""
 
     def modal(self, theta: Floats, analysis: ModalAnalysis) -> tuple[str, ModalResult]:
         """Return the key and the modes of a point at the analysis' nodes.
@@ -504,7 +507,7 @@ class MatrixModes:
 
         asked = _asked_modes(item, self._model.named(analysis.nodes))
         found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
-        return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
+        return self._noted(asked), self.engine.solver.by_hand(found)
 
     def assembled(
         self,
@@ -553,7 +556,7 @@ class MatrixModes:
 
             name = "modes of assembled matrices" + ", counted" * counted
             modal = self._derived(asked(counted), compute, ModalResult, name)
-            return keys[counted], self.engine.solver.by_hand(modal), counted
+            return self._noted(asked(counted)), self.engine.solver.by_hand(modal), counted
 
         if self.engine.policy.single_factors or keys[False] in self.engine.store:
             return found(counted=False)
@@ -593,7 +596,7 @@ class MatrixModes:
             **self._model.named(analysis.nodes),
         }
         found = self._derived(asked, compute, ModalResult, "modal by the reduced model")
-        return content_key(canonical_json(asked)), self.engine.solver.by_hand(found)
+        return self._noted(asked), self.engine.solver.by_hand(found)
 
     def over(
         self,
@@ -707,12 +710,17 @@ class MatrixModes:
         return self._derived(asked, compute, ModeDerivatives, "sensitivities from matrices")
 
     def _derived(self, asked: Json, compute: Callable[[], R], kind: type[R], name: str) -> R:
-        return self.engine.derived(asked, compute, kind, self.campaign.case.of(name))
+        def note() -> str:
+            return f"factors{self._solutions.held}" if self._solutions.held else ""
 
-    @property
-    def held(self) -> str:
-        """Return where factors are kept, if not in memory in double precision."""
-        return self._solutions.held
+        return self.engine.derived(asked, compute, kind, self.campaign.case.of(name), note)
+
+    def _noted(self, asked: Json) -> str:
+        """Return the key of a result, and remember with which factors it was computed."""
+        key = content_key(canonical_json(asked))
+        holding = self.engine.store.holding(key)
+        self.factors = "" if holding is None else holding.note
+        return key
 
     @property
     def _newest(self) -> ReducedAround | None:

@@ -454,7 +454,7 @@ def update_campaign(
     Raises SolverError, ModesError, StoreError.
     """
     campaign.solver_version()  # a missing solver is reported before anything starts
-    check_writable(campaign.store.folder, STORE_REMEDY)
+    campaign.store.check_usable(STORE_REMEDY)
     check_writable(folder, "name another place for run folders with --runs")
     with FileLock(folder / ".lock") as lock:
         if not lock.take():

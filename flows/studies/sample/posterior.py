@@ -15,7 +15,6 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.campaign_record import CampaignRecord
-from modetune.core.storage.files import check_writable
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
@@ -171,7 +170,7 @@ def learned_posterior(
     at_points, at_search, at_chains, at_checks = np.random.default_rng(request.seed).spawn(4)
     asked = request.points or max(LEAST_POINTS, POINTS_EACH * len(parameters))
     version = campaign.solver_version()  # report a missing solver before anything else starts
-    check_writable(campaign.store.folder, STORE_REMEDY)
+    campaign.store.check_usable(STORE_REMEDY)
     with solving_engine(campaign) as engine:
         try:
             evaluator = evaluator_of(campaign, engine, demand=Demand(1, asked))

@@ -14,7 +14,6 @@ import numpy as np
 
 from modetune.core.errors import ModetuneError
 from modetune.core.modes import Floats
-from modetune.core.storage.files import check_writable
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
@@ -59,7 +58,7 @@ def screen_campaign(
     bounds = parameters.lower, parameters.upper
     design = make_design(request.method, *bounds, at_points, request.points, request.levels)
     version = campaign.solver_version()  # report a missing solver before anything else starts
-    check_writable(campaign.store.folder, STORE_REMEDY)
+    campaign.store.check_usable(STORE_REMEDY)
     with solving_engine(campaign) as engine:
         working(f"{DECK}, sensitivities")
         evaluator = evaluator_of(campaign, engine, demand=Demand(1, len(design.points)))

@@ -24,7 +24,6 @@ from modetune.core.correlation.holdout import HeldOut, join_held_out, together
 from modetune.core.errors import CampaignError, ModesError, SolverError
 from modetune.core.modes import Floats, mode_name
 from modetune.core.storage.campaign_record import CampaignRecord, RunCounts
-from modetune.core.storage.files import check_writable
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import STORE_REMEDY
 from modetune.flows.jobs.campaign_engine import solving_engine
@@ -181,7 +180,7 @@ def _validated(
 ) -> Validation:
     started = time.monotonic()
     campaign.solver_version()  # report a missing solver before anything else starts
-    check_writable(campaign.store.folder, STORE_REMEDY)
+    campaign.store.check_usable(STORE_REMEDY)
     with solving_engine(campaign) as engine:
         several = len(campaigns) > 1
         demand = Demand(1, STEPS * len(campaigns)) if several else UPDATING

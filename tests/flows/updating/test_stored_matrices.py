@@ -616,6 +616,11 @@ def test_factors_in_single_precision_lead_to_the_same_answer(tmp_path: Path, wat
     for way in (mixed, double):
         assert (way.runs.sensitivity, way.runs.modal) == (3, 0)
     np.testing.assert_allclose(mixed.updated, double.updated, rtol=1e-6)
+    # A store that has the results has their provenance: a second run computes nothing.
+    place, way = tmp_path / "mixed_precision", "model.eigensolver=mixed_precision"
+    again = update(file, place, watcher, way, "update.confirm=matrices")
+    assert (again.runs.sensitivity, again.runs.modal) == (0, 0)
+    assert [item.solved_by for item in again.iterations] == [i.solved_by for i in mixed.iterations]
 
 
 def test_its_own_matrices_at_the_end_confirm_as_its_modes_do(
