@@ -22,6 +22,8 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -86,19 +88,55 @@ def ssi_poles(
             f"{n_times} samples of {n_channels} channels are too few for --order {order}: record "
             "longer, or lower it"
         )
-    quiet = contextlib.redirect_stderr(io.StringIO())  # its progress bar
+    with _pyoma2() as ssi:
+        hankel, _ = ssi.build_hank(*_scaled(values), block_rows, "cov")
+        _, states, outputs, _ = ssi.SSI_fast(hankel, block_rows, 2 * order, step=2)
+    both = zip(states[1:], outputs[1:], strict=True)
+    return tuple(_poles_of(a, c, values.std(axis=0), step_s) for a, c in both)
+
+
+def ssi_poles_of_parts(
+    values: Floats, step_s: float, order: int, block_rows: int, parts: int
+) -> Iterator[tuple[PolesOfOrder, ...]]:
+    """Yield what `ssi_poles` returns for the recording without one of its parts, for each part.
+
+    values: (n_times, n_channels); parts: consecutive and of one length. The Hankel matrix of the
+    rest is the mean of those of the other parts. Raises ModuleNotFoundError without pyOMA2.
+    """
+    length = values.shape[0] // parts
+    scaled, _ = _scaled(values)
+    with _pyoma2() as ssi:
+        pieces = (scaled[:, part * length : (part + 1) * length] for part in range(parts))
+        hankels = [ssi.build_hank(piece, piece, block_rows, "cov")[0] for piece in pieces]
+        total = np.sum(hankels, axis=0)
+        for hankel in hankels:
+            rest = (total - hankel) / (parts - 1)
+            _, states, outputs, _ = ssi.SSI_fast(rest, block_rows, 2 * order, step=2)
+            both = zip(states[1:], outputs[1:], strict=True)
+            yield tuple(_poles_of(a, c, values.std(axis=0), step_s) for a, c in both)
+
+
+@contextlib.contextmanager
+def _pyoma2() -> Iterator[Any]:
+    """Yield pyOMA2's functions, without its progress bars, log lines and error state."""
+    quiet = contextlib.redirect_stderr(io.StringIO())
     with np.errstate(), quiet, contextlib.redirect_stdout(io.StringIO()):
         from pyoma2.functions import ssi
 
-        logging.getLogger("pyoma2").setLevel(logging.WARNING)  # it logs each step
-        scaled = ((values - values.mean(axis=0)) / values.std(axis=0)).T
-        hankel, _ = ssi.build_hank(scaled, scaled, block_rows, "cov")
-        _, states, outputs, _ = ssi.SSI_fast(hankel, block_rows, 2 * order, step=2)
-    found = []
-    for a, c in zip(states[1:], outputs[1:], strict=True):
-        mu, vectors = np.linalg.eig(a)
-        moving = mu != 0.0
-        poles = np.log(mu[moving].astype(np.complex128)) / step_s
-        shapes = (c @ vectors[:, moving]) * values.std(axis=0)[:, None]
-        found.append((poles, np.asarray(shapes, dtype=np.complex128)))
-    return tuple(found)
+        logging.getLogger("pyoma2").setLevel(logging.WARNING)
+        yield ssi
+
+
+def _scaled(values: Floats) -> tuple[Floats, Floats]:
+    """Return channels of unit deviation (n_channels, n_times) as outputs and as references."""
+    scaled = ((values - values.mean(axis=0)) / values.std(axis=0)).T
+    return scaled, scaled
+
+
+def _poles_of(a: Floats, c: Floats, scale: Floats, step_s: float) -> PolesOfOrder:
+    """Return the poles of a state matrix (n, n), and shapes by the outputs (n_channels, n)."""
+    mu, vectors = np.linalg.eig(a)
+    moving = mu != 0.0
+    poles = np.log(mu[moving].astype(np.complex128)) / step_s
+    shapes = (c @ vectors[:, moving]) * scale[:, None]
+    return poles, np.asarray(shapes, dtype=np.complex128)

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from modetune.flows.studies.localise.localisation import Localisation
     from modetune.flows.studies.pretest.plan import Pretest
     from modetune.flows.studies.pretest.request import Directions, PlacementMethod
+    from modetune.flows.studies.receive.lab_files import ReceivedFile
     from modetune.flows.studies.reduce.reduction import ModelReduction
     from modetune.flows.studies.reduce.request import ReductionMethod
     from modetune.flows.studies.sample.record import PosteriorRecord
@@ -412,6 +413,35 @@ def fleet(
     given = {**locals(), "of": [Path(word) for word in words]}
     del given["words"]
     found: tuple[WatchedStructure, ...] = _found("fleet", given)
+    return found
+
+
+def receive(
+    campaign: CampaignLike,
+    lab: StrPath | Sequence[StrPath],
+    runs: StrPath = "runs",
+    *,
+    settle: float = 30.0,
+    again: bool = False,
+    band: tuple[float, float] | None = None,
+    order: int = 60,
+    fail_on: FailOn | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> tuple[ReceivedFile, ...]:
+    """Update with each new test of the lab's folder, oldest first, and return what became of them.
+
+    lab: folders in which tests arrive, or test files; those that were received before are left
+    alone. settle: seconds for which a file has not changed before it is read. again: also judge
+    files that were set aside again. band: for identification, Hz; order: pairs of poles.
+    """
+    given = {
+        **locals(),
+        "lab": [Path(one) for one in ([lab] if isinstance(lab, str | Path) else lab)],
+    }
+    given["band"] = None if band is None else f"{band[0]},{band[1]}"
+    found: tuple[ReceivedFile, ...] = _found("receive", given)
     return found
 
 

@@ -798,11 +798,13 @@ def _with_alarm(
 def _changed_sentence(changes: tuple[ParameterChange, ...]) -> str:
     found = sorted(
         (change for change in changes if change.changed),
-        key=lambda change: -abs(change.since_reference_in_errors),
+        key=lambda change: -np.nan_to_num(abs(change.since_reference_in_errors)),
     )
-    texts = [
-        f"{change.name} {100.0 * change.since_reference:+.2g} % "
-        f"({abs(change.since_reference_in_errors):.2g} repeatability errors)"
-        for change in found
-    ]
-    return "Changed: " + ", ".join(texts)
+    return "Changed: " + ", ".join(map(_change_text, found))
+
+
+def _change_text(change: ParameterChange) -> str:
+    """Return a change in words; a parameter on a bound has no repeatability."""
+    text = f"{change.name} {100.0 * change.since_reference:+.2g} %"
+    errors = abs(change.since_reference_in_errors)
+    return f"{text} ({errors:.2g} repeatability errors)" if errors == errors else text

@@ -23,6 +23,7 @@ STUDIES = {
     "localise": ("localise.study", STUDY),
     "update": ("update", DAY),
     "compare": ("compare.study", STUDY),
+    "receive": ("receive.study", DAY),
     "history": ("history.study", DAY),
     "fleet": ("fleet.study", DAY),
     "expand": ("expand.study", MODEL),

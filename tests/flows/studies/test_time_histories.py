@@ -19,8 +19,11 @@ from modetune.core.correlation.correlation import mac
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.time_histories import TimeHistories, response_functions
 from modetune.core.modes import Floats
-from modetune.flows.studies.identify.identification import Identification
-from modetune.flows.studies.identify.operational_modes import OperationalModes
+from modetune.flows.studies.identify.identification import (
+    Identification,
+    IdentificationSettings,
+)
+from modetune.flows.studies.identify.operational_modes import OperationalModes, operational_modes
 from tests.command_line import run_command
 
 
@@ -107,6 +110,26 @@ def test_responses_alone_give_frequencies_and_damping_within_their_bounds(
     assert (np.abs(modes.damping_ratios / true.damping_ratios - 1.0) < 6.0 * of_zeta).all()
     assert (np.diag(mac(modes.mode_shapes, true.shapes)) > 0.98).all()
     assert modes.normalisation == "max"
+
+
+def test_stated_deviations_are_the_scatter_of_recordings(tmp_path: Path) -> None:
+    """The scatter of twelve recordings is known to a fifth; the jackknife errs to the safe side."""
+    pytest.importorskip("pyoma2", reason="pyOMA2 is not installed (modetune[oma])")
+    hz, stated = [], []
+    for seed in range(12):
+        true = driven("stiff", 20_000, everywhere=True, seed=seed)
+        n = true.velocities.shape[1]
+        node, z = np.arange(1, n + 1), np.full(n, 3)
+        run = TimeHistories(
+            true.step_s, true.velocities, node, z, np.ones(n), np.zeros(n, np.bool_), "mobility", ""
+        )
+        found = operational_modes(run, IdentificationSettings())
+        assert found.deviations is not None
+        hz.append(found.modes.modes.frequencies_hz)
+        stated.append(found.deviations.frequencies)
+    ratio = np.sqrt(np.mean(np.square(stated), axis=0)) * np.mean(hz, axis=0) / np.std(hz, axis=0)
+    assert (ratio > 0.7).all(), ratio
+    assert (ratio < 3.0).all(), ratio
 
 
 @pytest.mark.parametrize("name", list(CHAINS))
