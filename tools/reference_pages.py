@@ -54,6 +54,7 @@ modetune identify lab.unv --out modes.csv    # identify modes from response func
 modetune sensors campaign.yaml     # find the node and direction of each sensor
 modetune check campaign.yaml       # report every problem, then compare model and test
 modetune update campaign.yaml      # update the model; --dry-run lists the jobs without running them
+modetune receive campaign.yaml lab # update with each new test that arrives in a folder
 modetune history campaign.yaml     # the runs of a structure over time, and whether it changed
 modetune fleet runs                # the newest run of many structures, worst first
 modetune validate campaign.yaml --leave-one-out    # predict the modes that were not used

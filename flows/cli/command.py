@@ -101,8 +101,8 @@ def parse_options(study: Study, words: Sequence[str]) -> dict[str, Any]:
             "study; `--set` and `--runs` are options of server deploy and serve themselves"
         )
     typed = {item.name: context.params[item.name] for item in others if item.name in given}
-    whole = {first.name: first.of_one(first.name), **typed}
-    checked = study.checked(_parameters(study, whole))
+    whole = {first.name: first.of_one(first.name), **_parameters(study, typed)}
+    checked = study.checked(whole)
     return {name: checked[name] for name in typed}
 
 
