@@ -57,6 +57,8 @@ DEEPEST, MOST_INCLUDES = 100, 2_000
 #: What a line of a deck takes in memory, bytes.
 LINE_BYTES = 250
 
+#: Characters of a line; solvers read some hundred, and scripts write long lists in one line.
+LONGEST_LINE = 500_000
 #: A carriage return with text of another line behind it.
 LONE_RETURN = re.compile(rb"\r(?![\r\n]|\Z)")
 #: More digits than the largest floating-point number has.
@@ -74,13 +76,20 @@ def read_text(path: Path) -> str:
     if b"\0" in data:
         number = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise ModelError(f"{path}, line {number}: not a text file, it holds zero bytes")
+    longest = largest_line(data)
+    if longest > LONGEST_LINE:
+        number = next(n for n, text in enumerate(data.split(b"\n"), 1) if len(text) == longest)
+        raise ModelError(
+            f"{path}, line {number} has {longest:,} characters, more than a solver reads in a "
+            "line; is it a deck?"
+        )
     if found := LONE_RETURN.search(data):
         number = data.count(b"\n", 0, found.start()) + 1
         raise ModelError(
             f"{path}, line {number}: a line ends with a carriage return (CR) alone, where solvers "
             "end no line; convert the file to LF or CRLF line ends (`mac2unix`)"
         )
-    if largest_line(data) > DIGITS:
+    if longest > DIGITS:
         for number, line in enumerate(data.split(b"\n"), 1):
             if digits := LONG_NUMBER.search(line):
                 raise ModelError(

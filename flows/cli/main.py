@@ -81,6 +81,8 @@ OLD_SPELLINGS = {
 
 #: A word of a message that is a value of a file, not a word or a path, and how much of it is shown.
 LONG, SHOWN = re.compile(r"\S{1000,}"), 60
+#: Lines of a message that are shown, and characters of one.
+MOST_LINES, LONGEST_LINE = 50, 5000
 
 
 def _print_version(wanted: bool) -> None:
@@ -245,7 +247,15 @@ def main() -> None:
 
 def _fail(reason: str, code: int) -> None:
     reason = reason.replace(f"{Path.cwd()}{os.sep}", "")  # paths as people type them
+    first = reason.split("\n", MOST_LINES)
+    if len(first) > MOST_LINES:
+        more = first.pop().count("\n") + 1
+        reason = "\n".join([*first, f"and {more} more lines like these"])
     reason = LONG.sub(lambda word: f"{word[0][:SHOWN]}... ({len(word[0])} characters)", reason)
+    reason = "\n".join(
+        line if len(line) < LONGEST_LINE else f"{line[:LONGEST_LINE]}... ({len(line)} characters)"
+        for line in reason.split("\n")
+    )
     _print_error(reason)
     if "--json" in sys.argv:
         typer.echo(json.dumps({"status": "failed", "reason": reason, "exit_code": code}))

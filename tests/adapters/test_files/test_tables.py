@@ -220,3 +220,20 @@ def test_a_tables_rows_know_their_places(tmp_path: Path) -> None:
         (f"{path}, line 3", ("mode", "1")),
         (f"{path}, line 5", ("frequency", "5")),
     ]
+
+
+def test_workbooks_that_unpack_without_end_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    path = book(tmp_path / "bomb.xlsx", Modes=MODES)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/worksheets/sheet9.xml", b"<row/>" * 4_000_000)
+    with pytest.raises(CampaignError, match=r"unpacks from 0\.\d+ to 24 MB, .* as CSV"):
+        read_tables(path)
+
+
+def test_cells_are_counted_while_a_workbook_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modetune.adapters.test_files.tables.MOST_CELLS", 30)
+    path = book(tmp_path / "large.xlsx", Modes=[["mode", 1, 2]] * 5, More=[["mode", 1, 2]] * 5)
+    with pytest.raises(CampaignError, match=r"sheet More has more than .* million cells"):
+        read_tables(path)

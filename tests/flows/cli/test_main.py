@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 import time
@@ -82,6 +83,19 @@ def test_a_long_value_is_shortened_in_messages(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "(20002 characters)" in json.loads(done.stdout)["reason"]
     assert len(done.stderr) < 2000
+
+
+def test_of_many_problems_the_first_are_shown(tmp_path: Path) -> None:
+    count = 3000
+    rows = [",".join(["mode", *["1"] * count]), ",".join(["frequency_hz", *["x"] * count])]
+    (tmp_path / "wide.csv").write_text("\n".join(rows) + "\n")
+    done = run_command(tmp_path, "files", "inspect", "wide.csv")
+    assert done.returncode == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == 51
+    assert re.fullmatch(r"and \d{4} more lines like these", lines[-1])
+    # A header that repeats a mode names all of them in one line.
+    assert max(map(len, lines)) < 6000
 
 
 def test_a_named_command_comes_alone() -> None:
