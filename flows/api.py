@@ -134,6 +134,36 @@ def init(
     return init_campaign(Path(deck), _paths(test), changed, place, force)
 
 
+def go(
+    deck: StrPath,
+    test: StrPath | Sequence[StrPath] = (),
+    out: StrPath | None = None,
+    runs: StrPath = "runs",
+    *,
+    solver: str | None = None,
+    units: str | None = None,
+    subcase: int | None = None,
+    step: int | None = None,
+    force: bool = False,
+    fail_on: FailOn | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> CampaignRun:
+    """Go from a deck and a test to an updated model: init, identify, check, update and report.
+
+    out: the campaign file, by default `campaign.yaml` next to the deck; one that exists is used as
+    it is, unless force. Raises CampaignError where going on would be wrong: unknown units, a test
+    that fits the model in several ways, or a pre-check that finds something wrong.
+    """
+    given = {**locals(), "test": [str(path) for path in _paths(test)]}
+    found: Any = _found("go", given)
+    if isinstance(found, CampaignError):
+        raise found
+    assert isinstance(found, CampaignRun)
+    return found
+
+
 def modes(
     campaign: CampaignLike,
     at: At = None,

@@ -49,6 +49,7 @@ options are also below.
 
 ```
 # A normal day
+modetune go deck.bdf lab.unv       # all of the next: init, identify, check, update, report
 modetune init deck.bdf lab.unv     # draft a campaign file for a deck and a test
 modetune identify lab.unv --out modes.csv    # identify modes from response functions
 modetune sensors campaign.yaml     # find the node and direction of each sensor

@@ -42,7 +42,7 @@ AGAIN_S = 0.05
 #: Commands under the headings of `--help`; `...` is the place of the heading's studies. A study's
 #: command is derived from its definition, any other is in the module of its name.
 HEADINGS: dict[str, tuple[str | EllipsisType, ...]] = {
-    DAY: ("init", "identify", "sensors", ..., "view", "report"),
+    DAY: ("go", "init", "identify", "sensors", ..., "view", "report"),
     STUDY: (...,),
     "Installation, and groups of commands": (MODEL, "files", "server", "store", "doctor", "demo"),
 }
@@ -130,7 +130,8 @@ def _group(name: str, only: str) -> typer.Typer:
 def _entries(place: str) -> list[str]:
     """Return the entries of a heading or a group, with its studies at their place."""
     entries = GROUPS[place][1] if place in GROUPS else HEADINGS[place]
-    studies = [name for name, (_, where) in STUDIES.items() if where == place]
+    own = [name for name, (_, where) in STUDIES.items() if where == place]
+    studies = [name for name in own if name not in entries]
     found = [[item] if isinstance(item, str) else studies for item in entries]
     return [name for names in found for name in names]
 

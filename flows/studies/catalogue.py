@@ -15,6 +15,7 @@ DAY, STUDY, MODEL = "A normal day", "Studies", "model"
 #: Each study: the module below `flows/studies` that defines it, and its heading or group. To remove
 #: a study, delete its folder or file and its line here.
 STUDIES = {
+    "go": ("go", DAY),
     "pretest": ("pretest.study", STUDY),
     "check": ("check.study", DAY),
     "modes": ("modes", STUDY),

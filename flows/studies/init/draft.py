@@ -19,7 +19,11 @@ import numpy as np
 import yaml
 
 from modetune.adapters.solver import ModalCase
-from modetune.adapters.test_files.measurements import read_measurement
+from modetune.adapters.test_files.measurements import (
+    inspect_files,
+    read_histories,
+    read_measurement,
+)
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.storage.files import writing
@@ -35,11 +39,9 @@ from modetune.flows.campaign.sketch import (
 )
 from modetune.flows.campaign.solvers import modal_cases
 from modetune.flows.campaign.units import METRES, Units
-from modetune.flows.studies.identify.identification import (
-    IdentificationSettings,
-    identify,
-    write_modes,
-)
+from modetune.flows.studies.identify.identification import IdentificationSettings
+from modetune.flows.studies.identify.measured_functions import SpectraSettings, read_functions
+from modetune.flows.studies.identify.operational_modes import identify_test
 from modetune.flows.studies.init.candidate_parameters import Candidate, candidates
 from modetune.flows.studies.init.design_parameters import (
     REACHES,
@@ -150,18 +152,17 @@ def keep(path: Path, force: bool) -> None:
 
 
 def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) -> TestDraft:
-    """Return the test, with modes identified if it has only response functions."""
-    measurement, files, identified = read_measurement(tests), tuple(tests), None
+    """Return the test, with modes identified if it has response functions or recordings."""
+    measurement, files, identified = inspect_files(tests).measurement, tuple(tests), None
     if measurement.modes is None:
-        if measurement.frfs is None:
-            raise CampaignError(
-                f"{', '.join(map(str, tests))}: found neither modes nor response functions"
-            )
+        recordings = [path for path in tests if read_histories([path])[0]]
+        functions, outputs = read_functions(recordings or tests, SpectraSettings())
+        geometry = measurement.geometry or functions.geometry
         identified = folder / f"{tests[0].stem}-modes.csv"
         keep(identified, force)
-        found = identify(measurement.frfs, IdentificationSettings())
-        write_modes(identified, found, measurement.geometry, ", ".join(path.name for path in tests))
-        files = (identified, *(tests if measurement.geometry is not None else ()))
+        whole = replace(functions, geometry=geometry)
+        identify_test(whole, outputs, IdentificationSettings(), tests, identified)
+        files = (identified, *(path for path in tests if path not in recordings and geometry))
         measurement = read_measurement(files)
     problems: list[str] = []
     for sensors, about in POSES if measurement.geometry is not None else POSES[::2]:

@@ -46,7 +46,7 @@ def test_paths_of_a_line_are_absolute(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("polish", "expected one of pretest, check, modes"),
+        ("polish", "expected one of go, pretest, check, modes"),
         ("screen --metod morris", "--metod"),
         ("screen --method mories", "--method 'mories': expected one of local, morris"),
         ("screen --points many", "--points"),

@@ -29,8 +29,8 @@ def test_the_help_fits_a_screen_with_the_normal_day_first(tmp_path: Path) -> Non
     assert len(lines) <= 44
     assert max(map(len, lines)) <= 100
     first = next(place for place, line in enumerate(lines) if "A normal day" in line)
-    assert [line.split()[1] for line in lines[first + 1 : first + 6]] == [
-        "init", "identify", "sensors", "check", "update",
+    assert [line.split()[1] for line in lines[first + 1 : first + 7]] == [
+        "go", "init", "identify", "sensors", "check", "update",
     ]  # fmt: skip
 
 
