@@ -9,6 +9,7 @@ import re
 import shutil
 import socket
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +21,8 @@ from modetune.core.errors import StorageUnavailable
 REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
 #: What it says of a disk or a share that does not work, and of a file larger than it takes.
 BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
+#: A half-written file older than this many seconds is a leftover.
+WRITTEN_S = 3600.0
 
 
 @contextmanager
@@ -46,6 +49,14 @@ def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what killed processes have half written, in a folder and in the folders in it."""
+    for part in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
+        with suppress(OSError):
+            if part.lstat().st_mtime < time.time() - WRITTEN_S:
+                shutil.rmtree(part) if part.is_dir() else part.unlink()
 
 
 def machine_user() -> str:

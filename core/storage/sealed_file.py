@@ -115,9 +115,18 @@ class RecordFile(Generic[R]):
     def title(self) -> str:
         return f"modetune {self.noun} record "
 
+    @property
+    def newest(self) -> str:
+        """The title of files that are written."""
+        return f"{self.title}{self.format}"
+
+    def sealed(self, record: R) -> memoryview:
+        """Return the bytes of a record's file."""
+        return sealed(self.newest, lambda file: write_value(file, record))
+
     def write(self, path: Path, record: R) -> None:
         """Write a record whole or not at all. Raises StorageUnavailable."""
-        data = sealed(f"{self.title}{self.format}", lambda file: write_value(file, record))
+        data = self.sealed(record)
         with writing(path) as part:
             part.write_bytes(data)
 
@@ -144,9 +153,12 @@ class RecordFile(Generic[R]):
         found = int(number) if number.isdecimal() else 0
         upgrades = [self.earlier.get(n) for n in range(found, self.format)]
         if found > self.format or None in upgrades:
+            first = min((self.format, *self.earlier))
+            formats = f"{first} to {self.format}" if self.earlier else str(self.format)
+            when = "the later" if found > self.format else "the earlier"
             raise CampaignError(
                 f"{path} is a {title.removeprefix('modetune ')}, and this version of modetune "
-                f"reads format {self.format}; use the version that wrote it, or {self.again}"
+                f"reads format {formats}; use {when} version that wrote it, or {self.again}"
             )
         if not holds(data, title):
             stored = "" if self.remedy else ", for which the store has what was solved"

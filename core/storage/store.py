@@ -3,12 +3,15 @@
     STORE/ab/abcdef....3.h5   a result, and before it in plain text what was asked, by whom it was
                               computed, and a note; 3 is the number of the format
     STORE/damaged/            entries whose checksum did not hold, set aside
-    STORE/locks/KEY           one lock a job under way, freed when its holder dies
+    STORE/locks/KEY           one lock a job under way, freed when its holder dies; its file goes
+                              with it
 
 A file is written aside, flushed to disk and renamed, so an entry is whole or absent. Many
 processes and machines may share the folder. An entry whose checksum does not match
 (`core/storage/sealed_file`) is set aside with a warning and counts as absent.
-Entries of other formats, older or newer, are other files: they are left alone.
+
+The format before is read too, where its content has all that this one's has; `upgrade` rewrites
+such an entry. Entries of other formats, older or newer, are other files: they are left alone.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import io
 import json
 import logging
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -24,11 +28,14 @@ from functools import cache
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
+import h5py
+
 from modetune.core.algebra.eigen import SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.errors import StorageUnavailable, StoreDamaged
+from modetune.core.algebra.rigid_modes import COMPLETE
+from modetune.core.errors import StorageUnavailable, StoreDamaged, StoreError
 from modetune.core.measurement.registration import Registration
-from modetune.core.storage.codec import read_value, write_value
+from modetune.core.storage.codec import read_array, read_value, write_value
 from modetune.core.storage.files import check_writable, storage_errors, writing
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.sealed_file import content, holds, read_head, sealed
@@ -41,9 +48,12 @@ R = TypeVar("R")
 
 logger = logging.getLogger(__name__)
 
+#: The name of an entry's file.
+ENTRY = re.compile(r"(?P<key>[0-9a-f]{64})\.(?P<format>\d{1,9})\.h5")
 #: Grows whenever the layout of a result's dataclasses changes.
 FORMAT = 4
-TITLE = f"modetune store entry {FORMAT}"
+KIND_OF_FILE = "modetune store entry "
+TITLE = f"{KIND_OF_FILE}{FORMAT}"
 KINDS: dict[str, type[Result]] = {
     "modal": ModalResult,
     "matrices": MatrixResult,
@@ -55,6 +65,25 @@ KINDS: dict[str, type[Result]] = {
     "registration": Registration,
     "solved_modes": SolvedModes,
 }
+
+
+def _with_rigid_modes(kind: str, file: h5py.File) -> None:
+    """Change a result of format 3 into one of format 4, which counts the rigid modes.
+
+    Energies decide it where each is all of its mode's eigenvalue: then no mode is rigid. Raises
+    ValueError for any other modes, as only their solver knows what its energies leave out.
+    """
+    if kind == "modal":
+        eigenvalues = read_array(file, "eigenvalues")
+        missing = 2.0 * read_array(file, "total_strain_energy") - eigenvalues
+        if not (abs(missing) <= COMPLETE * abs(eigenvalues)).all():
+            raise ValueError("how many of its modes are rigid is not known")
+        file.attrs["n_rigid"] = 0
+
+
+#: By the number of an earlier format: changes the content of a result of a kind into the next
+#: format's, or raises ValueError where that cannot be done.
+EARLIER: dict[int, Callable[[str, h5py.File], None]] = {3: _with_rigid_modes}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +120,8 @@ class Store:
 
     folder: Path
 
-    def path(self, key: str) -> Path:
-        return self.folder / key[:2] / f"{key}.{FORMAT}.h5"
+    def path(self, key: str, number: int = FORMAT) -> Path:
+        return self.folder / key[:2] / f"{key}.{number}.h5"
 
     @property
     def is_read_only(self) -> bool:
@@ -122,6 +151,8 @@ class Store:
             there = not found and path.parent.is_dir()
             beside = [item.name for item in path.parent.iterdir()] if there else []
         if any(name.startswith(f"{key}.") and name.endswith("h5") for name in beside):
+            if self._earlier(key) is not None:
+                return True
             _tell_of_other_formats(self.folder)
         return found
 
@@ -130,12 +161,50 @@ class Store:
 
         Raises StorageUnavailable where the folder may not be read.
         """
-        return self._checked(key, _read_entry)
+        return self._checked(key, _read_entry) or self._earlier(key)
 
     def check(self, key: str) -> bool:
         """Whether the entry of this key is, bit for bit, what was written; a damaged one is set
         aside. Raises StorageUnavailable where it may not be read."""
         return self._checked(key, _head_of) is not None
+
+    def _earlier(self, key: str) -> Entry | None:
+        """The entry of this key in an earlier format; nothing where it cannot be read."""
+        for number in sorted(EARLIER, reverse=True):
+            with suppress(FileNotFoundError, StoreError):
+                return self.read_earlier(key, number)[0]
+        return None
+
+    def read_earlier(self, key: str, number: int) -> tuple[Entry, str, str]:
+        """Return an entry of an earlier format, with what was asked and its note.
+
+        Raises FileNotFoundError, StoreDamaged, StorageUnavailable.
+        """
+        path = self.path(key, number)
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise StorageUnavailable(f"{path} could not be read: {error.strerror}") from error
+        return _read_earlier(data, path, key, number)
+
+    def upgrade(self, key: str, number: int) -> None:
+        """Rewrite an entry of an earlier format; the old file goes when the new one is verified.
+
+        Whoever computes the same result at that time writes the same file. Raises
+        FileNotFoundError, StoreDamaged, StorageUnavailable.
+        """
+        path, old = self.path(key), self.path(key, number)
+        entry, asked, note = self.read_earlier(key, number)
+        with storage_errors(path, "ask its owner"):
+            written = old.stat()
+            if not (path.is_file() and self.check(key)):
+                self.put(entry, asked, note)
+                os.utime(path, ns=(written.st_atime_ns, written.st_mtime_ns))
+            if not self.check(key):
+                raise StoreDamaged(f"{path} was written and is damaged; check the disk")
+            old.unlink(missing_ok=True)
 
     def _checked(self, key: str, read: Callable[[bytes, Path, str], R]) -> R | None:
         """What is read of an entry; nothing where there is none, or `read` finds it damaged."""
@@ -203,7 +272,8 @@ class Store:
     def lock(self, key: str, waiting: Callable[[], None]) -> Iterator[None]:
         """Hold the job of this key; a second holder, of this or another process, waits.
 
-        waiting: called over and over while another holds it; it sleeps a little, or raises.
+        waiting: called over and over while another holds it; it sleeps a little, or raises. The
+        file of the lock is removed while it is held: who waits for it makes a new one.
         """
         lock = FileLock(self.folder / "locks" / key)
         with ExitStack() as stack:
@@ -212,7 +282,11 @@ class Store:
             except StorageUnavailable as error:
                 text = f"the store {self.folder} lacks the result {key[:12]}, and {error}"
                 raise StorageUnavailable(text) from error
-            yield
+            try:
+                yield
+            finally:
+                with suppress(StorageUnavailable):  # the next holder, or `prunable`, removes it
+                    lock.remove()
 
     def _set_aside(self, path: Path, inode: int) -> None:
         """Move a damaged file away, unless another process has put a good one there since."""
@@ -232,10 +306,10 @@ def _tell_of_other_formats(folder: Path) -> None:
     """Say it once."""
     logger.warning(
         "%s holds results in a format that this version of modetune does not read (it reads "
-        "KEY.%d.h5); they are left alone, and what is needed is computed again. Remove them when "
-        "no other version uses the store.",
+        "KEY.%s.h5); they are left alone, and what is needed is computed again. Remove them "
+        "when no other version uses the store.",
         folder,
-        FORMAT,
+        ".h5 and KEY.".join(map(str, (FORMAT, *EARLIER))),
     )
 
 
@@ -255,12 +329,12 @@ def _holding(file: IO[bytes]) -> Holding | None:
         return None
 
 
-def _head_of(data: bytes, path: Path, key: str) -> dict[str, Any]:
+def _head_of(data: bytes, path: Path, key: str, title: str = TITLE) -> dict[str, Any]:
     """Return the head of a file after its checksum was verified. Raises StoreDamaged."""
-    if not holds(data, TITLE):
+    if not holds(data, title):
         raise StoreDamaged(f"the checksum of {path} does not hold")
     try:
-        head: dict[str, Any] = json.loads(read_head(io.BytesIO(data), TITLE))
+        head: dict[str, Any] = json.loads(read_head(io.BytesIO(data), title))
         other = head["key"] != key
     except (ValueError, KeyError, TypeError) as error:
         raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
@@ -278,3 +352,20 @@ def _read_entry(data: bytes, path: Path, key: str) -> Entry:
         return Entry(key, result, head["solver"], head["solver_version"], head["wall_s"])
     except (ValueError, KeyError, TypeError, StoreDamaged) as error:
         raise StoreDamaged(f"{path} is not a readable store entry ({error})") from error
+
+
+def _read_earlier(data: bytes, path: Path, key: str, number: int) -> tuple[Entry, str, str]:
+    """The entry of an earlier format that a file's bytes are. Raises StoreDamaged."""
+    head = _head_of(data, path, key, f"{KIND_OF_FILE}{number}")
+    try:
+        with content(data, "r+") as file:
+            for earlier in range(number, FORMAT):
+                EARLIER[earlier](head["kind"], file)
+            result = read_value(file, KINDS[head["kind"]])
+        entry = Entry(key, result, head["solver"], head["solver_version"], head["wall_s"])
+        return entry, str(head["asked"]), str(head["note"])
+    except (ValueError, KeyError, TypeError, StoreDamaged) as error:
+        raise StoreDamaged(
+            f"{path} has a result of format {number} that cannot be read as one of format "
+            f"{FORMAT} ({error}); it is computed again when it is needed"
+        ) from error

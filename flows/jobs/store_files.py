@@ -2,16 +2,18 @@
 
 Leftovers are files of killed runs that no process will use again: half-written files, folders of
 interrupted jobs, unlocked lock files, indexes of machines that have not used the store for a month.
-A running job holds its key's lock, so its folder is never a leftover. Entries of other formats
-belong to other versions of modetune and are removed only on request. A running campaign may read
-any result again, so no result is removed while one runs.
+A running job holds its key's lock, so its folder is never a leftover. A lock's file is removed by
+its holder while it holds it: a process that waits for it sees that, and makes a new one. Each
+campaign that uses the store removes interrupted jobs and locks of dead processes. Entries of
+other formats belong to other versions of modetune and are removed only on request. A running
+campaign may read any result again, so no result is removed while one runs.
 
 Factorisations too large for memory use a folder of their own, with a lock of the same name:
 
     STORE/jobs/factors-NAME.part
 
 It is removed with its matrix or when the process ends; after a kill, by the next campaign that uses
-the store.
+the store, at once.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from typing import Literal
 
 from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import machine_user, storage_errors
+from modetune.core.storage.files import WRITTEN_S, machine_user, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
 from modetune.flows.jobs.store_index import EntryFilter, query_index
@@ -51,8 +53,8 @@ FileKind = Literal[
 LEFTOVERS: tuple[FileKind, ...] = (
     "interrupted job", "half-written file", "lock", "index of another machine",
 )  # fmt: skip
-#: A half-written file older than this is a leftover.
-WRITTEN_S = 3600.0
+#: Interrupted jobs and unlocked locks older than this are removed when a campaign uses the store.
+ABANDONED_S = 86400.0
 #: An index that a machine has not used for so long is a leftover.
 FORGOTTEN_S = 30 * 86400.0
 #: Prefix of the lock that a running campaign holds.
@@ -121,6 +123,14 @@ def other_files(store: Store, now_s: float) -> Iterator[StoreFile]:
         yield from _file("damaged result", path)
     for path in _inside(store.folder / "models"):
         yield from _file("deck's text", path)
+    yield from _files_of_jobs(store)
+    for path in _inside(store.folder / "index"):
+        if not path.name.startswith(f"{machine_user()}."):
+            yield from _file("index of another machine", path, now_s - FORGOTTEN_S)
+
+
+def _files_of_jobs(store: Store) -> Iterator[StoreFile]:
+    """Yield folders of jobs, without those of running ones, and locks."""
     for path in _inside(store.folder / "jobs"):
         if path.suffix == ".part":
             if _idle(store, path.stem):
@@ -129,9 +139,6 @@ def other_files(store: Store, now_s: float) -> Iterator[StoreFile]:
             yield from _file("failed job" if path.suffix == ".failed" else "kept job", path)
     for path in _inside(store.folder / "locks"):
         yield from _file("lock", path)
-    for path in _inside(store.folder / "index"):
-        if not path.name.startswith(f"{machine_user()}."):
-            yield from _file("index of another machine", path, now_s - FORGOTTEN_S)
 
 
 def prunable(
@@ -272,10 +279,13 @@ def factor_files(store: Store) -> FactorFiles:
 
 
 def remove_abandoned(store: Store) -> None:
-    """Remove the factors of dead processes. Raises StorageUnavailable."""
-    if any((store.folder / "jobs").glob(f"{PREFIX}*")):
-        found = other_files(store, 0.0)
-        remove(store, [item for item in found if item.path.name.startswith(PREFIX)])
+    """Remove factors of dead processes, and their interrupted jobs and locks after a day."""
+    before_s = time.time() - ABANDONED_S
+    for item in _files_of_jobs(store):
+        old = item.path.name.startswith(PREFIX) or item.written_s < before_s
+        if old and item.what in ("interrupted job", "lock"):
+            with suppress(StorageUnavailable):  # another user's
+                remove(store, [item])
 
 
 def _remove_factors(folder: Path, lock: FileLock) -> None:

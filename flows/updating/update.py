@@ -48,8 +48,9 @@ from modetune.core.storage.campaign_record import (
     read_record,
     write_record,
 )
-from modetune.core.storage.files import check_writable, storage_errors
+from modetune.core.storage.files import check_writable, remove_parts, storage_errors
 from modetune.core.storage.locks import FileLock
+from modetune.core.storage.upgrade import RUN_LOCK
 from modetune.core.updating.trust import StartSpread, with_concerns, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
@@ -456,12 +457,13 @@ def update_campaign(
     campaign.solver_version()  # a missing solver is reported before anything starts
     campaign.store.check_usable(STORE_REMEDY)
     check_writable(folder, "name another place for run folders with --runs")
-    with FileLock(folder / ".lock") as lock:
+    with FileLock(folder / RUN_LOCK) as lock:
         if not lock.take():
             raise CampaignRunning(
                 f"another run of this campaign is in progress in {folder}; wait for it, or name "
                 "another place for run folders with --runs"
             )
+        remove_parts(folder)
         with campaign_log(campaign, folder), solving_engine(campaign) as engine:
             return _update(campaign, engine, folder, progress, forecast, joined)
 

@@ -194,7 +194,7 @@ def test_a_record_of_another_format_is_told_with_the_remedy(file: Path) -> None:
     title = f"campaign record {CAMPAIGN.format}".encode()
     assert title in file.read_bytes()
     file.write_bytes(file.read_bytes().replace(title, b"campaign record 99"))
-    said = rf"record 99, .* reads format {CAMPAIGN.format}; use the version that"
+    said = rf"record 99, .* reads format 7 to {CAMPAIGN.format}; use the later version that"
     with pytest.raises(CampaignError, match=said):
         read_record(file)
 

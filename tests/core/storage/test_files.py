@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import pytest
 
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import check_writable, storage_errors, writing
+from modetune.core.storage.files import (
+    WRITTEN_S,
+    check_writable,
+    remove_parts,
+    storage_errors,
+    writing,
+)
 
 
 def test_a_failed_write_leaves_what_stood_there(tmp_path: Path) -> None:
@@ -24,6 +31,21 @@ def test_a_failed_write_leaves_what_stood_there(tmp_path: Path) -> None:
         fail()
     assert target.read_text() == "before"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_a_killed_process_half_wrote_goes_after_an_hour(tmp_path: Path) -> None:
+    names = (".a.part", "history/.b.part", "history/.run.part/deck.inp")
+    for folder in ("old", "new"):
+        for name in names:
+            path = tmp_path / folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+    for part in (tmp_path / "old").rglob("*.part"):
+        os.utime(part, (time.time() - WRITTEN_S - 60.0,) * 2)
+    for folder in ("old", "new"):
+        remove_parts(tmp_path / folder)
+    assert list((tmp_path / "old").rglob("*.part")) == []
+    assert len(list((tmp_path / "new").rglob("*.part"))) == len(names)
 
 
 def test_a_place_that_cannot_be_a_folder_is_told(tmp_path: Path) -> None:

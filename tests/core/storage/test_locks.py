@@ -85,6 +85,7 @@ def test_threads_are_let_in_one_at_a_time(tmp_path: Path, refused: int) -> None:
         for _ in range(5):
             with store.lock("ab", waiting):
                 inside[0] += 1
+                step.wait(0.0005)  # another thread gets its turn
                 most[0] = max(most[0], inside[0])
                 inside[0] -= 1
 
@@ -94,6 +95,8 @@ def test_threads_are_let_in_one_at_a_time(tmp_path: Path, refused: int) -> None:
     for thread in threads:
         thread.join()
     assert most == [1]
+    # Each holder removes the file while others wait for it.
+    assert list((tmp_path / "locks").iterdir()) == []
 
 
 def test_the_lock_of_a_killed_process_is_free_at_once(tmp_path: Path, refused: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,14 @@ from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.jobs.store_files import (
+    ABANDONED_S,
     campaigns_running,
     check,
     in_use,
     other_files,
     prunable,
     remove,
+    remove_abandoned,
 )
 from tests.core.storage.test_locks import holding
 
@@ -150,6 +153,23 @@ def test_a_job_that_is_under_way_is_left_alone(store: Store) -> None:
     assert not lock.exists()
     with FileLock(lock) as again:
         assert again.take()
+
+
+def test_a_campaign_removes_what_dead_processes_left_a_day_ago(store: Store) -> None:
+    """An old folder of a running job, and leftovers of today, stay."""
+    letters = {"e": ABANDONED_S, "f": ABANDONED_S, "a": 0.0}
+    for letter, age_s in letters.items():
+        for path in (store.folder / "jobs" / f"{key_of(letter)}.part",
+                     store.folder / "locks" / key_of(letter)):  # fmt: skip
+            path.parent.mkdir(exist_ok=True)
+            path.touch()
+            os.utime(path, (time.time() - age_s - 60.0,) * 2)
+    with FileLock(store.folder / "locks" / key_of("f")) as lock:
+        assert lock.take()
+        os.utime(lock.path, (time.time() - 2.0 * ABANDONED_S,) * 2)
+        remove_abandoned(store)
+        left = {path.name for name in ("jobs", "locks") for path in (store.folder / name).iterdir()}
+        assert left == {key_of("f"), f"{key_of('f')}.part", key_of("a"), f"{key_of('a')}.part"}
 
 
 def test_the_check_finds_every_damage_and_sets_it_aside(store: Store) -> None:
