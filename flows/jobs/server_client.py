@@ -69,6 +69,10 @@ class ServerClient:
         """Return the server's answer to this content. Raises ServerRefused."""
         return self._request("POST", path, content, seconds)
 
+    def patch(self, path: str, content: object, seconds: float = PATIENCE_S) -> Any:
+        """Change what is at this path. Raises ServerRefused."""
+        return self._request("PATCH", path, content, seconds)
+
     def answer(self, seconds: float = PROBE_S) -> Answer:
         """Probe whether this is a Prefect server that accepts this client's requests."""
         try:

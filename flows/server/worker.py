@@ -23,6 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 from uuid import UUID
@@ -171,6 +172,7 @@ class CampaignWorker(BaseWorker[FixedConfiguration, Any, Ended]):
         task_status: anyio.abc.TaskStatus[Any] | None = None,
     ) -> Ended:
         """Run the fixed program for a flow run and wait for its end."""
+        await self._name(flow_run)
         request = {
             "run": str(flow_run.id),
             "flow": configuration.flow_name,
@@ -206,6 +208,14 @@ class CampaignWorker(BaseWorker[FixedConfiguration, Any, Ended]):
                 with anyio.move_on_after(GRACE_S):
                     await self._settle(flow_run, process.returncode)
         return Ended(identifier=str(process.pid), status_code=0)
+
+    async def _name(self, flow_run: FlowRun) -> None:
+        """Name a run after its deployment, until its process has read the campaign's name."""
+        if flow_run.deployment_id is None:
+            return
+        with suppress(httpx.HTTPError, ObjectNotFound, OSError):  # a name is no reason to fail
+            deployment = await self.client.read_deployment(flow_run.deployment_id)
+            await self.client.update_flow_run(flow_run.id, name=deployment.name)
 
     async def _settle(self, flow_run: FlowRun, code: int | None) -> None:
         """Mark a run whose process ended without a final state."""

@@ -81,7 +81,7 @@ def test_a_deployed_campaign_that_is_broken_later_fails_with_its_reason(site: Si
         run = site.end(site.due())
     finally:
         (site.folder / "campaign.yaml").write_text(good)
-    assert run["state_type"] == "FAILED"
+    assert (run["name"], run["state_type"]) == ("six-mass", "FAILED")
     assert "campaign.yaml, line" in run["state"]["message"]
 
 

@@ -14,7 +14,13 @@ from prefect.exceptions import InfrastructureNotAvailable
 
 from modetune.core.errors import ModetuneError
 from modetune.flows.jobs import prefect_server as process
-from modetune.flows.jobs.heartbeats import RESOURCE, SILENT_S, HeartbeatWatch, send_heartbeat
+from modetune.flows.jobs.heartbeats import (
+    COLLIDED,
+    RESOURCE,
+    SILENT_S,
+    HeartbeatWatch,
+    send_heartbeat,
+)
 from modetune.flows.jobs.server_client import ServerClient
 from modetune.flows.server.worker import CampaignWorker, FixedConfiguration, check_login
 from tests.eventually import allowed, eventually
@@ -53,10 +59,26 @@ def test_a_run_whose_process_is_killed_has_crashed_at_once(site: Site) -> None:
     lost = running(site)
     assert site.kill(RUN) == 1
     found, seconds = site.wait(lost, lambda run: run["state_type"] in ENDED)
-    assert (found["state_type"], seconds < 10.0) == ("CRASHED", True)
+    assert (found["name"], found["state_type"], seconds < 10.0) == ("six-mass", "CRASHED", True)
     assert "ended with code -9" in found["state"]["message"]
     check_next(site)
     assert "the worker stopped" in stop(worker)
+
+
+def test_a_run_that_collides_has_the_campaigns_name_and_the_run_in_its_way(site: Site) -> None:
+    """Prefect refuses it before it has a process, with a random name."""
+    worker = site.worker()
+    first, second = running(site), site.due()
+    found, _ = site.wait(second, lambda run: run["state_name"] == COLLIDED)
+    began = site.state(first)["start_time"][:19]
+    assert (found["name"], found["state_type"]) == ("six-mass", "CANCELLED")
+    assert found["state"]["message"] == (
+        f"another run of six-mass, which began at {began} UTC, was in progress; this one did "
+        "nothing"
+    )
+    site.resume()
+    site.wait(first, lambda run: run["state_type"] in ENDED)
+    stop(worker)
 
 
 def test_a_run_whose_machine_is_gone_has_crashed_within_a_minute(site: Site) -> None:
@@ -209,6 +231,8 @@ class Server:
         self.ended: dict[str, str] = {}
 
     def post(self, path: str, content: Any) -> Any:
+        if "deployment_id" in content.get("flow_runs", ()):
+            return []  # none that did not begin
         if path == "/flow_runs/filter":
             return [
                 {"id": run, "state_type": state}
