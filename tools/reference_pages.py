@@ -85,6 +85,7 @@ modetune server deploy campaign.yaml         # put a study on a Prefect server, 
 modetune server serve campaign.yaml          # deploy a study and run it in this process
 modetune server worker                       # run deployed campaigns on this machine
 modetune server status                       # show the Prefect server that commands share
+modetune server prune --older 30d            # remove old runs from its database
 modetune server stop                         # stop that server
 # The store of results
 modetune store list                # list the stored results of solver jobs
@@ -93,6 +94,8 @@ modetune store size                # show what takes space
 modetune store check               # find damaged results
 modetune store prune --older 30d   # remove results by age and size
 modetune store forget KEY          # remove the result of one job
+# After a new version
+modetune upgrade                   # rewrite records, histories and stores of earlier formats
 # This installation
 modetune doctor                    # test the installation and its solvers
 modetune demo                      # run a complete example whose answer is known

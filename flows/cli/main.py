@@ -44,7 +44,15 @@ AGAIN_S = 0.05
 HEADINGS: dict[str, tuple[str | EllipsisType, ...]] = {
     DAY: ("go", "init", "identify", "sensors", ..., "view", "report"),
     STUDY: (...,),
-    "Installation, and groups of commands": (MODEL, "files", "server", "store", "doctor", "demo"),
+    "Installation, and groups of commands": (
+        MODEL,
+        "files",
+        "server",
+        "store",
+        "upgrade",
+        "doctor",
+        "demo",
+    ),
 }
 #: Groups: what they do, and their commands; `MODULE.NAME` is one of several in a module.
 GROUPS: dict[str, tuple[str, tuple[str | EllipsisType, ...]]] = {
@@ -55,7 +63,7 @@ GROUPS: dict[str, tuple[str, tuple[str | EllipsisType, ...]]] = {
     ),
     "server": (
         "Run campaigns unattended: Prefect deployments, workers, the shared server.",
-        ("deploy", "serve", "worker", "server.status", "server.stop"),
+        ("deploy", "serve", "worker", "server.status", "server.prune", "server.stop"),
     ),
     "store": (
         "List, explain, check and prune the stored results of solver jobs.",

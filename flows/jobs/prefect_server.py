@@ -47,6 +47,7 @@ from modetune.flows.jobs.server_client import (
     ServerRefused,
     prefect_setting,
 )
+from modetune.flows.jobs.server_database import compact, database_of, keep_s, retention_settings
 
 #: The outcome of a request to end the shared server.
 Stopped = Literal["stopped", "none", "in use"]
@@ -85,7 +86,8 @@ SETTINGS: Mapping[str, str] = {
 #: User variables that would direct a process to a server other than the shared one.
 FOREIGN = (
     "PREFECT_API_URL", "PREFECT_API_AUTH_STRING", "PREFECT_API_KEY", "PREFECT_PROFILE",
-    "PREFECT_PROFILES_PATH",
+    "PREFECT_PROFILES_PATH", "PREFECT_API_DATABASE_CONNECTION_URL",
+    "PREFECT_SERVER_DATABASE_CONNECTION_URL",
 )  # fmt: skip
 
 
@@ -351,6 +353,12 @@ def _in_use(home: Path) -> bool:
     return False
 
 
+def compact_unused(home: Path) -> bool:
+    """Return free space of the database to the disk, unless a campaign uses the server."""
+    with _gate(home):
+        return not _in_use(home) and compact(database_of(home))
+
+
 def is_keeper(pid: int) -> bool:
     """Return whether a process is a living keeper.
 
@@ -385,6 +393,7 @@ def _free_port(home: Path) -> int:
 
 
 def _start(home: Path) -> Address:
+    keep_s()  # a setting that is not valid is refused here, where it can be read
     port = _free_port(home)
     module = "modetune.flows.jobs.prefect_server"
     with (home / "server.log").open("wb") as log, Path(os.devnull).open("rb") as nothing:
@@ -416,6 +425,7 @@ def keep(home: Path, port: int) -> None:
     environment = {
         **os.environ,
         **SETTINGS,
+        **retention_settings(keep_s()),
         "PREFECT_HOME": str(home / "prefect"),
         # Prefect copies its pages there; the default, its own package, works for one user only.
         "PREFECT_UI_STATIC_DIRECTORY": str(home / "pages"),
@@ -469,6 +479,7 @@ def _wait_for_idleness(home: Path, url: str, server: subprocess.Popen[bytes]) ->
                 used = time.monotonic()
             elif time.monotonic() - used > limit:
                 _end(server)
+                compact(database_of(home))
                 return
     sys.stderr.write(f"Prefect's server ended unexpectedly with code {server.returncode}\n")
 
