@@ -43,13 +43,14 @@ def deploy(
             "timezone": timezone if cron else None,
             "server": server.pages,
         }
+        entrance = server.entrance
     if as_json:
         typer.echo(json.dumps(summary))
         return
     when = f"at `{cron}` ({timezone})" if cron else "on request"
     typer.echo(
-        f"deployed as {summary['deployment']} on {server.pages}; it runs {when}, as soon as a "
-        f"worker is running:\n  modetune server worker --pool {pool}"
+        f"deployed as {summary['deployment']} on {server.pages}{entrance}; it runs {when}, as soon "
+        f"as a worker is running:\n  modetune server worker --pool {pool}"
     )
 
 

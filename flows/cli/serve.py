@@ -48,7 +48,10 @@ def serve(
         pool, schedule = f"serve-{name}", deployment.Schedule(cron, timezone)
         identity = deployment.deploy(chosen, parameters, name, schedule, pool)
         when = f"at `{cron}` ({timezone})" if cron else "on request"
-        typer.echo(f"serving {chosen.name}/{name} {when}; pages at {server.pages}; Ctrl-C ends it")
+        typer.echo(
+            f"serving {chosen.name}/{name} {when}; pages at {server.pages}{server.entrance}; "
+            "Ctrl-C ends it"
+        )
         folders = [campaign_file.parent, *chosen.paths(chosen.checked(parameters))]
         try:
             work(server, pool, folders, limit=1, without_login=without_login)

@@ -187,6 +187,11 @@ class SharedServer:
         return self.address.url.removesuffix("/api")
 
     @property
+    def entrance(self) -> str:
+        """Where the login is that the pages ask for, in brackets; empty for a configured server."""
+        return f" (the login is in {self.home / 'login'})" if self.shared else ""
+
+    @property
     def shared(self) -> bool:
         """Whether it is modetune's shared server, not one that the user configured."""
         return self.use is not None

@@ -38,7 +38,7 @@ from modetune.core.errors import CampaignRunning, ModetuneError, SolverCancelled
 from modetune.flows.campaign.campaign import Campaign, cores
 from modetune.flows.jobs.heartbeats import TAG
 from modetune.flows.jobs.prefect_runner import dask_task_runner, task_runner
-from modetune.flows.jobs.prefect_server import configured_server
+from modetune.flows.jobs.prefect_server import SharedServer, configured_server
 from modetune.flows.jobs.run_log import logged_to
 from modetune.flows.jobs.runner import Runner
 from modetune.flows.jobs.server_client import ServerClient
@@ -110,11 +110,11 @@ def find_flow(name: str) -> Flow[..., Any]:
 
 
 def run_as_flow(
-    study: str, parameters: Mapping[str, Any], name: str, pages: str, handed: Handed
+    study: str, parameters: Mapping[str, Any], name: str, server: SharedServer, handed: Handed
 ) -> None:
     """Run a study as a flow of this process; the outcome is in what was handed to it.
 
-    name: of the run; pages: address of the server's pages. A server that refuses the run before it
+    name: of the run. A server that refuses the run before it
     begins, or that is gone at its end, is no error.
     """
     flow = find_flow(study)
@@ -127,7 +127,7 @@ def run_as_flow(
                 tags=[TAG],
                 state=Pending(),
             )
-        handed.progress.page(f"{pages}/runs/flow-run/{made.id}")
+        handed.progress.page(f"{server.pages}/runs/flow-run/{made.id}{server.entrance}")
         run_flow(flow, flow_run=made, parameters=dict(parameters), return_type="state")
 
 

@@ -166,7 +166,7 @@ def _as_flow(
 
         handed = Handed(progress, on, own_process)
         with handing(handed):
-            run_as_flow(study.name, parameters, on.name, server.pages, handed)
+            run_as_flow(study.name, parameters, on.name, server, handed)
         if not handed.began:
             return None
         end = handed.outcome()

@@ -184,6 +184,11 @@ def test_its_owner_is_served_and_finds_it_again(served: Served) -> None:
     found = process.read_address(served.home)
     assert found is not None
     assert found.url == served.url
+    # Whoever is told the address is told where the login is that its pages ask for.
+    server = process.SharedServer(served.home, found, FileLock(served.home / "use"), served.login)
+    named = re.fullmatch(r" \(the login is in (.*)\)", server.entrance)
+    assert named is not None
+    assert Path(named[1]).read_text().strip() == served.login
 
 
 @NOT_ROOT
@@ -469,6 +474,7 @@ def test_the_active_profile_names_a_server_and_its_login(
     assert server is not None
     assert (server.address.url, server.login) == ("https://prefect.example/api", "me:word")
     assert not server.shared
+    assert server.entrance == ""
     monkeypatch.setenv("PREFECT_PROFILE", "other")
     other = process.use_server()
     assert (other.address.url, other.login) == ("http://127.0.0.1:9/api", "you:word")
