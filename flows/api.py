@@ -655,7 +655,8 @@ def identify(
         files = _paths(test)
         test, outputs = read_functions(files, SpectraSettings(estimator, segment, window))
     places = [None if place is None else Path(place) for place in (out, figures)]
-    return identify_test(test, outputs, settings, files, *places)[0]
+    with named_extras():
+        return identify_test(test, outputs, settings, files, *places)[0]
 
 
 def read_test(paths: StrPath | Sequence[StrPath]) -> Measurement:

@@ -68,6 +68,68 @@ def test_the_python_api_says_which_extra_it_requires(tmp_path: Path) -> None:
     assert "pip install 'modetune[studies]'" in last
 
 
+#: Every function of modetune, on a campaign whose update is there; each prints how it ended.
+EVERY_VERB = """
+import modetune
+calls = {
+    "check": lambda: modetune.check("campaign.yaml"),
+    "compare": lambda: modetune.compare(["campaign.yaml", "other.yaml"], settings=ONE),
+    "correlate": lambda: modetune.correlate("campaign.yaml"),
+    "direct": lambda: modetune.direct("campaign.yaml"),
+    "expand": lambda: modetune.expand("campaign.yaml"),
+    "fleet": lambda: modetune.fleet("campaign.yaml"),
+    "go": lambda: modetune.go("six_mass.yaml", "measured.csv", "gone.yaml", solver="matrices"),
+    "history": lambda: modetune.history("campaign.yaml"),
+    "identify": lambda: modetune.identify("run.csv", order=8),
+    "init": lambda: modetune.init("six_mass.yaml", out="new.yaml", solver="matrices"),
+    "load": lambda: modetune.load("campaign.yaml"),
+    "localise": lambda: modetune.localise("campaign.yaml"),
+    "modes": lambda: modetune.modes("campaign.yaml"),
+    "pretest": lambda: modetune.pretest("campaign.yaml"),
+    "read_record": lambda: modetune.read_record("runs/six-mass"),
+    "read_test": lambda: modetune.read_test("measured.csv"),
+    "receive": lambda: modetune.receive("campaign.yaml", "measured.csv", settle=0, settings=ONE),
+    "reduce": lambda: modetune.reduce("campaign.yaml", masters="1.x,2.x,3.x"),
+    "sample": lambda: modetune.sample("campaign.yaml"),
+    "scatter": lambda: modetune.scatter("campaign.yaml"),
+    "screen": lambda: modetune.screen("campaign.yaml", method="local"),
+    "twin": lambda: modetune.twin("campaign.yaml", solvers="matrices,calculix"),
+    "update": lambda: modetune.update("campaign.yaml", settings=ONE),
+    "validate": lambda: modetune.validate("campaign.yaml", leave_one_out=True),
+}
+ONE = {"update.starts": 1}
+verbs = [name for name in modetune.__all__ if name[0].islower()]
+assert sorted(calls) == sorted(verbs), set(calls) ^ set(verbs)
+for name in ("update", *sorted(set(verbs) - {"update"})):
+    try:
+        calls[name]()
+        print(name, "ran")
+    except modetune.ModetuneError as error:
+        print(name, str(error).replace("\\n", " "))
+"""
+
+
+def test_every_function_runs_without_extras_or_names_one(tmp_path: Path) -> None:
+    shutil.copytree(SIX_MASS, tmp_path, dirs_exist_ok=True)
+    campaign = (tmp_path / "campaign.yaml").read_text()
+    (tmp_path / "other.yaml").write_text(campaign.replace("six-mass", "other"))
+    rows = (f"{0.01 * k:.2f},{k * k % 7},{k * k % 5}\n" for k in range(4000))
+    (tmp_path / "run.csv").write_text("time [s],1.x [m/s^2],2.x [m/s^2]\n" + "".join(rows))
+    code = f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]!r}))\n{EVERY_VERB}"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    ends = dict(line.split(" ", 1) for line in done.stdout.splitlines())
+    named = {name: text for name, text in ends.items() if text.startswith("this requires")}
+    assert named.keys() == {"identify", "sample", "scatter"}, ends
+    assert "modetune[oma]" in named["identify"]
+    assert "modetune[studies]" in named["sample"]
+    refused = {name: text for name, text in ends.items() if text != "ran" and name not in named}
+    # Masses and springs name no candidates, which both say.
+    assert all("has nothing to update" in text for text in refused.values()), refused
+    assert refused.keys() == {"init", "go"}
+
+
 def test_the_extras_bring_what_is_asked_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     asked = project["optional-dependencies"]
