@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modetune.adapters.calculix.constraints import held_by, node_sets
+from modetune.adapters.calculix.deck import KeywordCard
 from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.adapters.deck_files import text_with
 from modetune.adapters.solver import AddedCards, Addition
@@ -39,8 +40,11 @@ def with_addition(
     element = max(structure.mesh.elements, default=0) + 1
     lines, parts = ["** added by modetune localise"], list[tuple[Quantity, str, float]]()
     nodes = addition.nodes
-    if addition.kind == "support":
-        more, numbers, comments = _springs(structure, addition, fixed, element, number)
+    if addition.kind in ("support", "link"):
+        if addition.kind == "support":
+            more, numbers, comments = _springs(structure, addition, fixed, element, number)
+        else:
+            more, numbers, comments = _joint(structure, mesh, addition, element, number)
         text = text_with(deck.file, before, [*lines, *more], "** ", comments)
         return AddedCards(text, (*lines, *more), (numbers,))
     if addition.kind == "absorber":
@@ -96,6 +100,61 @@ def _springs(
     return lines, ("spring_stiffness", ELSET, tuple(names), value), comments
 
 
+def _joint(
+    structure: CalculixStructure, mesh: Mesh, addition: Addition, element: int, number: int
+) -> tuple[list[str], tuple[Quantity, TargetKind, tuple[str, ...], float], list[int]]:
+    """Return springs between a rigid body and its nodes, their numbers, and lines to comment out.
+
+    The body gets nodes of its own at the same places. What does not yield stays tied by equations.
+    """
+    deck, sets = structure.deck, node_sets(structure)
+    nodes, value = sorted(addition.nodes), addition.values[0]
+    cards = [
+        card
+        for card in deck.named("*RIGID BODY")
+        if sets.get(card.option("NSET"), set()) - {_reference(card)} == set(nodes)
+    ]
+    if len(cards) != 1:
+        raise ModelError(
+            f"{deck.file}: a link that yields is replaced where one *RIGID BODY, with NSET, has "
+            f"exactly its nodes ({len(cards)} have them)"
+        )
+    lines = [deck.lines[position] for position in cards[0].lines]
+    if any(line.file != deck.file for line in lines):
+        raise ModelError(f"{lines[0].where}: links are replaced in the main file alone")
+    first = max(structure.summary.node_ids) + 1
+    name = f"{NAME}_{number}_LINK"
+    twins = dict(zip(nodes, range(first, first + len(nodes)), strict=True))
+    made = [f"*NODE, NSET={name}"]
+    for node, twin in twins.items():
+        x, y, z = _place(mesh, node)
+        made.append(f"{twin}, {x:.9g}, {y:.9g}, {z:.9g}")
+    ends = [f"REF NODE={_reference(cards[0])}"]
+    if rotation := cards[0].option("ROTNODE"):
+        ends.append(f"ROT NODE={rotation}")
+    made.append(f"*RIGID BODY, NSET={name}, {', '.join(ends)}")
+    axes = (addition.component,) if addition.component else (1, 2, 3)
+    names = []
+    for axis in axes:
+        names.append(f"{name}_{axis}")
+        made.append(f"*ELEMENT, TYPE=SPRING2, ELSET={names[-1]}")
+        made += [f"{element + k}, {twin}, {node}" for k, (node, twin) in enumerate(twins.items())]
+        made += [f"*SPRING, ELSET={names[-1]}", f"{axis}, {axis}", _real(value)]
+        element += len(twins)
+    for axis in (1, 2, 3):
+        if axis not in axes:
+            made.append("*EQUATION")
+            for node, twin in twins.items():
+                made += ["2", f"{node}, {axis}, 1., {twin}, {axis}, -1."]
+    comments = [line.number for line in lines]
+    return made, ("spring_stiffness", ELSET, tuple(names), value), comments
+
+
+def _reference(card: KeywordCard) -> int:
+    text = card.option("REFNODE")
+    return int(text) if text.isdecimal() else 0
+
+
 def _kept_holds(
     structure: CalculixStructure, nodes: set[int], axes: tuple[int, ...]
 ) -> tuple[list[str], list[int]]:
@@ -137,6 +196,6 @@ def _place(mesh: Mesh, node: int) -> Floats:
 
 
 def _real(value: float) -> str:
-    """Return a number with a point or an exponent: ccx takes a whole number for a freedom."""
-    text = f"{value:.9g}"
-    return text if set(text) & set(".e") else f"{text}."
+    """Return a number with a point: ccx takes a number without one for a freedom."""
+    digits, exponent, power = f"{value:.9g}".partition("e")
+    return f"{digits}{'' if '.' in digits else '.'}{exponent}{power}"

@@ -44,6 +44,14 @@ def with_addition(
         text = text_with(deck.file, before, lines, "$ ", comments)
         names = (str(number),)
         return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
+    if addition.kind == "link":
+        more, comments, ties = _joint(deck, mesh, bulk, addition, number)
+        value, names = addition.values[0], (str(number),)
+        lines += [*more, *_wide("PELAS", number, value)]
+        for place, (twin, node, axis) in enumerate(ties):
+            lines += _wide("CELAS1", number + 1 + place, number, twin, axis, node, axis)
+        text = text_with(deck.file, before, lines, "$ ", comments)
+        return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""
@@ -71,6 +79,47 @@ def with_addition(
         together.setdefault((quantity, by, value), []).append(name)
     numbers = tuple((q, by, tuple(names), value) for (q, by, value), names in together.items())
     return AddedCards(text, tuple(lines), numbers)
+
+
+def _joint(
+    deck: NastranDeck, mesh: Mesh, bulk: Bulk, addition: Addition, number: int
+) -> tuple[list[str], list[int], list[tuple[int, int, int]]]:
+    """Return cards of a rigid element on grids of its own, lines to comment out, and what springs
+    tie: its grid, the grid of the structure, and the component.
+
+    What does not yield stays in the element with its number.
+    """
+    wanted = set(addition.nodes)
+    cards = [
+        card
+        for card in deck.named("RBE2")
+        if (element := bulk.rigid_elements.get(_number(card.text(1)))) is not None
+        and set(map(int, element.Gmi)) == wanted
+    ]
+    if len(cards) != 1:
+        raise ModelError(
+            f"{deck.file}: a link that yields is replaced where one RBE2 has exactly its grids "
+            f"({len(cards)} have them)"
+        )
+    own = [deck.lines[position] for position in cards[0].lines]
+    if any(line.file != deck.file for line in own):
+        raise ModelError(f"{own[0].where}: links are replaced in the main file alone")
+    element = bulk.rigid_elements[_number(cards[0].text(1))]
+    nodes, tied = sorted(wanted), [int(axis) for axis in sorted(element.cm)]
+    yields = [axis for axis in tied if addition.component in (0, axis)]
+    if not yields:
+        raise ModelError(f"{own[0].where}: the element does not tie component {addition.component}")
+    lines, twins = list[str](), dict[int, int]()
+    for place, node in enumerate(nodes):
+        x, y, z = mesh.coordinates[mesh.rows(np.array([node]))[0]].tolist()
+        twins[node] = number + place
+        lines += _wide("GRID", twins[node], 0, x, y, z, bulk.nodes[node].Cd())
+    rest = "".join(str(axis) for axis in tied if axis not in yields)
+    if rest:
+        lines += _wide("RBE2", element.eid, element.gn, rest, *nodes)
+    lines += _wide("RBE2", number, element.gn, "123456", *twins.values())
+    ties = [(twins[node], node, axis) for node in nodes for axis in yields]
+    return lines, [line.number for line in own], ties
 
 
 def _kept_holds(

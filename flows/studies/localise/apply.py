@@ -105,6 +105,8 @@ def addition(change: ModelChange, values: list[float]) -> Addition:
         return Addition("spring", change.nodes, change.component, tuple(values))
     if change.kind == "yielding support":
         return Addition("support", change.nodes, change.component, tuple(values))
+    if change.kind == "yielding link":
+        return Addition("link", change.nodes, change.component, tuple(values))
     raise ModelError(f"modetune adds no cards for {change.label}: add them by hand")
 
 

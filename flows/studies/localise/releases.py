@@ -77,11 +77,12 @@ def released_model(
     observed = free.observation(here, *rows)
     loads = free.observation(here, places.load_nodes, places.load_components)
     here, base = (_of_mesh(own, of) for own, of in ((here, free), (base, deck)))
+    base = _with_inner_names(base, here, deck.mesh())
     seen = _tie(motion, base, here)
     if seen is None or not _is_same(seen, here, base):
         logger.info("supports and links are not released: the free model is not the same one")
         return None
-    found = list(_groups(here, base, seen, deck.mesh(), links))
+    found = list(_groups(here, base, seen, deck, links))
 
     def resisted(
         own: Floats, matrices: MatrixResult = here, tie: sparse.csr_array = seen
@@ -102,6 +103,21 @@ def _of_mesh(matrices: MatrixResult, deck: Deck) -> MatrixResult:
     """Return matrices with the names that the mesh has for their equations."""
     nodes, components = deck.freedoms(matrices)
     return replace(matrices, nodes=nodes, components=components)
+
+
+def _with_inner_names(base: MatrixResult, free: MatrixResult, mesh: Mesh) -> MatrixResult:
+    """Return matrices with another model's numbers of the nodes that the solver makes itself.
+
+    It makes them element by element, so they are alike in their order; a body that it makes nodes
+    for first shifts their numbers.
+    """
+    made, others = (np.unique(of.nodes[~np.isin(of.nodes, mesh.nodes)]) for of in (base, free))
+    if not mesh.nodes.size or made.size != others.size or np.array_equal(made, others):
+        return base
+    inner = np.isin(base.nodes, made)
+    nodes = base.nodes.copy()
+    nodes[inner] = others[np.searchsorted(made, base.nodes[inner])]
+    return replace(base, nodes=nodes)
 
 
 def _tie(seen: sparse.csr_array, base: MatrixResult, free: MatrixResult) -> sparse.csr_array | None:
@@ -139,11 +155,16 @@ def _groups(
     free: MatrixResult,
     base: MatrixResult,
     tie: sparse.csr_array,
-    mesh: Mesh,
+    deck: Deck,
     links: Sequence[RigidLink],
 ) -> Iterator[tuple[str, bool, tuple[int, ...], Integers]]:
-    """Yield label, whether a support, nodes, and rows of the free equations of each group."""
-    held = np.diff(tie.indptr) == 0
+    """Yield label, whether a support, nodes, and rows of the free equations of each group.
+
+    A node at rest may follow a leader that is held, and then its link yields.
+    """
+    mesh, fixed = deck.mesh(), deck.fixed()
+    following = {node for link in links for node in link.nodes} - fixed.keys()
+    held = (np.diff(tie.indptr) == 0) & ~np.isin(free.nodes, list(following))
     nodes = np.unique(free.nodes[held])
     if mesh.nodes.size:  # others are made by the solver, as of a beam's end that is held
         nodes = nodes[np.isin(nodes, mesh.nodes)]

@@ -300,6 +300,86 @@ def test_a_clamp_that_yields_in_rotation_is_found_in_a_translated_deck(tmp_path:
     assert abs(np.log(best.amplitudes[0] / 5e6)) < SURE * best.errors[0]
 
 
+def linked(stiffness: float = 0.0) -> Structure:
+    """The block on a rigid body that the ground holds, tied along x by springs of a stiffness.
+
+    Without one, the body holds the block's root wholly.
+    """
+    free = str(block((1, 3)).deck).partition("*BOUNDARY")[0]
+    body = "*NODE\n900, 0., 20., 4.5\n901, 0., 20., 4.5\n*NSET, NSET=ROOT\n1, 2, 3, 4\n"
+    if stiffness:
+        body = body.replace("*NSET", "*NODE, NSET=PLATE\n911, 0., 0., 0.\n912, 0., 0., 9.\n"
+                            "913, 0., 40., 0.\n914, 0., 40., 9.\n*NSET")  # fmt: skip
+        body += "*RIGID BODY, NSET=PLATE, REF NODE=900, ROT NODE=901\n"
+        body += "*ELEMENT, TYPE=SPRING2, ELSET=SOFT\n"
+        body += "".join(f"{1000 + n}, {910 + n}, {n}\n" for n in range(1, 5))
+        body += f"*SPRING, ELSET=SOFT\n1, 1\n{stiffness}\n"
+        for axis in (2, 3):
+            body += "*EQUATION\n" + "".join(
+                f"2\n{n}, {axis}, 1., {910 + n}, {axis}, -1.\n" for n in range(1, 5)
+            )
+    else:
+        body += "*RIGID BODY, NSET=ROOT, REF NODE=900, ROT NODE=901\n"
+    held = "*BOUNDARY\n900, 1, 3\n901, 1, 3\n"
+    return replace(block((1, 3)), deck=free + body + held)
+
+
+@needs_ccx
+def test_a_rigid_body_becomes_a_joint_in_a_calculix_deck(tmp_path: Path) -> None:
+    """As in the deck that has the joint from the start."""
+    given = _loaded(linked(), tmp_path / "given")
+    added = Addition("link", (1, 2, 3, 4), 1, (20000.0,))
+    cards = given.case.solver.deck.with_cards(added)
+    assert cards.numbers == (("spring_stiffness", "elset", ("MODETUNE_ADDED_1_LINK_1",), 20000.0),)
+    soft = _loaded(replace(linked(), deck=cards.text), tmp_path / "soft")
+    expected = modetune.modes(_loaded(linked(20000.0), tmp_path / "hand")).elastic.frequencies_hz
+    assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+    assert abs(modetune.modes(given).elastic.frequencies_hz[0] / expected[0] - 1.0) > 0.1
+    stiff = given.case.solver.deck.with_cards(replace(added, values=(1e12,))).text
+    tied = _loaded(replace(linked(), deck=stiff), tmp_path / "stiff")
+    assert modetune.modes(tied).elastic.frequencies_hz == pytest.approx(
+        modetune.modes(given).elastic.frequencies_hz, rel=1e-5
+    )
+    with pytest.raises(modetune.ModetuneError, match="exactly its nodes"):
+        given.case.solver.deck.with_cards(replace(added, nodes=(1, 2)))
+
+
+@needs_ccx
+def test_a_body_that_yields_is_found_with_its_stiffness(tmp_path: Path) -> None:
+    truth = {"E_ROOT": 1.1, "E_TIP": 0.95}
+    with searched(linked(), linked(20000.0), truth, tmp_path, noise=3) as search:
+        found = search.ranked()
+    best = next(item for item in found.found if item.change.label.endswith("x yields"))
+    assert found.proposed
+    assert "yielding link" in {item.change.kind for item in found.found[:2]}
+    assert abs(np.log(best.amplitudes[0] / 20000.0)) < SURE * best.errors[0]
+
+
+def elbow(joint: float = 0.0) -> Structure:
+    """The boom with a rigid element at its middle, which turns about y by a spring of a stiffness.
+
+    Without one, the element is rigid.
+    """
+    text = str(boom().deck).replace("CBAR,6,2,6,7,", "CBAR,6,2,60,7,")
+    more = "GRID,60,,600.,0.,0.\n"
+    if joint:
+        more += f"RBE2,800,6,12346,60\nCELAS2,900,{joint:g},6,5,60,5\n"
+    else:
+        more += "RBE2,800,6,123456,60\n"
+    return replace(boom(), deck=text.replace("ENDDATA", f"{more}ENDDATA"))
+
+
+@needs_mystran
+def test_a_rigid_element_becomes_a_joint_in_a_nastran_deck(tmp_path: Path) -> None:
+    given = _loaded(elbow(), tmp_path / "given")
+    cards = given.case.solver.deck.with_cards(Addition("link", (60,), 5, (4e6,)))
+    assert "$ RBE2,800,6,123456,60\n" in cards.text
+    soft = _loaded(replace(elbow(), deck=cards.text), tmp_path / "soft")
+    expected = modetune.modes(_loaded(elbow(4e6), tmp_path / "hand")).elastic.frequencies_hz
+    assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+    assert abs(modetune.modes(given).elastic.frequencies_hz[0] / expected[0] - 1.0) > 0.02
+
+
 def _loaded(structure: Structure, folder: Path) -> Campaign:
     """A campaign of a structure, whose test is of no importance."""
     n = structure.n_modes
