@@ -15,6 +15,7 @@
     repeats/            of repeated tests: places, numbers, frequencies_hz, damping_ratios, used
                         (n_tests, n_modes); attribute worth
     environment/        keys, values (n_quantities,): what else was measured, such as temperature_C
+    attributes          measured_at, seconds since 1970
 
 Each group may be missing. `core/storage/codec` writes it. The first 512 bytes hold a SHA-256 of all
 that follows, which is verified before HDF5 opens the file (`core/storage/sealed_file`). Other
@@ -23,6 +24,7 @@ programs write such files with `write_test_hdf5`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -76,6 +78,7 @@ class _File:
     deviations: MeasuredDeviations | None = None
     repeats: RepeatedTests | None = None
     environment: Mapping[str, float] | None = None
+    measured_at: float | None = None
 
 
 def write_test_hdf5(path: Path, measurement: Measurement) -> None:
@@ -94,6 +97,7 @@ def write_test_hdf5(path: Path, measurement: Measurement) -> None:
         measurement.deviations,
         measurement.repeats,
         measurement.environment or None,
+        None if math.isnan(measurement.measured_at) else measurement.measured_at,
     )
     data = sealed(OWN_TITLE, lambda file: write_value(file, form))
     with writing(path) as part:
@@ -136,6 +140,7 @@ def read_test_hdf5(path: Path) -> Measurement:
         form.deviations,
         form.repeats,
         environment=form.environment or {},
+        measured_at=math.nan if form.measured_at is None else form.measured_at,
     )
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modetune.adapters.test_files.environment_csv import split_environment
+from modetune.adapters.test_files.environment_csv import split_environment, split_time
 from modetune.adapters.test_files.file_kind import (
     NUMBERS,
     SUFFIXES,
@@ -197,7 +197,13 @@ def write_test(path: Path, test: Measurement, comments: Sequence[str] = ()) -> l
     written = []
     if (modes := test.modes) is not None:
         write_modes_csv(
-            path, modes.numbers, modes.modes, comments, test.deviations, test.environment
+            path,
+            modes.numbers,
+            modes.modes,
+            comments,
+            test.deviations,
+            test.environment,
+            test.measured_at,
         )
         written.append(path)
     if test.geometry is not None:
@@ -246,6 +252,7 @@ def _read_tables(path: Path, kind: FileKind, computed: bool = False) -> Measurem
         if table.first in ("mode", "frequency_hz", "node", "metres")
         or is_repeated(table)
         or split_environment(table)[0]
+        or split_time(table)[1] is not table
     ]
     if not wanted:
         sheets = ", ".join(table.name.removeprefix(f"{path}, sheet ") for table in tables)
@@ -263,14 +270,15 @@ def _table_histories(path: Path, notes: list[str]) -> list[TimeHistories]:
 
 
 def _of_table(table: FileTable, computed: bool) -> Measurement:
-    environment, rest = split_environment(table)
-    if environment and not rest.rows:
-        return Measurement(environment=environment)
+    environment, others = split_environment(table)
+    at, rest = split_time(others)
+    if table.rows and not rest.rows:
+        return Measurement(environment=environment, measured_at=at)
     if is_geometry(rest):
         found = Measurement(geometry=geometry_of(rest))
     else:
         found = repeated_of(rest) if is_repeated(rest) else modes_of(rest, computed)
-    return replace(found, environment=environment)
+    return replace(found, environment=environment, measured_at=at)
 
 
 def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
@@ -295,6 +303,9 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
                 places[name] = place
         if both := sorted(whole.environment.keys() & part.environment.keys()):
             raise CampaignError(f"two files give {both[0]} of the environment; leave out one")
+        times = {at for at in (whole.measured_at, part.measured_at) if at == at}
+        if len(times) > 1:
+            raise CampaignError("two files give different times of the test; leave out one")
         # Joined modes have no complex shapes.
         shapes = part.complex_shapes if whole.modes is None else whole.complex_shapes
         joined = whole.modes is not None and part.modes is not None
@@ -307,6 +318,7 @@ def _merged(parts: Sequence[tuple[str, Measurement]]) -> Measurement:
             whole.repeats or part.repeats,
             None if joined else shapes,
             {**whole.environment, **part.environment},
+            times.pop() if times else math.nan,
         )
     return whole
 

@@ -9,6 +9,7 @@
     101.x,          0.12,  -0.40,   0.03        (sensor: node.component x y z rx ry rz)
     101.z,          ...
     environment temperature_C, 21.5             (optional, see `environment_csv`)
+    measured_at, 2026-11-27T02:00:00Z           (likewise)
 
 One column a mode, numbered as the test numbers them; or one row a mode, where the first row has
 the names. Sensor rows are optional: without them only frequencies are compared. Each shape
@@ -21,10 +22,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
+from modetune.adapters.test_files.environment_csv import TIME
 from modetune.adapters.test_files.tables import (
     FileTable,
     TableRow,
@@ -201,6 +204,7 @@ def write_modes_csv(
     comment: Sequence[str] = (),
     deviations: MeasuredDeviations | None = None,
     environment: Mapping[str, float] | None = None,
+    measured_at: float = float("nan"),
 ) -> None:
     """Write real modes in the form that `read_modes_csv` reads.
 
@@ -223,6 +227,8 @@ def write_modes_csv(
     for row in range(modes.n_dof):
         component = COMPONENTS[modes.components[row] - 1]
         lines.append(_row(f"{modes.nodes[row]}.{component}", modes.mode_shapes[row].tolist()))
+    if measured_at == measured_at:
+        lines.append(f"{TIME},{datetime.fromtimestamp(measured_at, UTC).isoformat()}")
     lines += [_row(f"environment {name}", [value]) for name, value in (environment or {}).items()]
     with writing(path) as part:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -179,7 +179,8 @@ class Measurement:
     notes: what the reader decided or left out, a sentence each, for people.
     deviations: of the modes, in their order; repeats: the tests that the modes are the mean of.
     complex_shapes: (n_dof, n_modes), of the modes as measured, where they are not real.
-    environment: what else was measured, such as temperature_C, by name.
+    environment: what else was measured, such as temperature_C, by name. measured_at: when, in
+    seconds since 1970, NaN if unknown.
     """
 
     modes: MeasuredModes | None = None
@@ -190,6 +191,7 @@ class Measurement:
     repeats: RepeatedTests | None = None
     complex_shapes: Complexes | None = None
     environment: Mapping[str, float] = field(default_factory=dict)
+    measured_at: float = float("nan")
 
     __repr__ = brief
 
@@ -197,4 +199,5 @@ class Measurement:
     def is_empty(self) -> bool:
         """Whether there are neither modes, geometry, response functions nor an environment."""
         parts = (self.modes, self.geometry, self.frfs)
-        return all(part is None for part in parts) and not self.environment
+        known = self.environment or self.measured_at == self.measured_at
+        return all(part is None for part in parts) and not known

@@ -3,10 +3,10 @@
     history/2026-11-27T21-05-11Z-1f0c9a2b.h5     a past run, as `core/storage/sealed_file` writes it
     history/2026-11-27T21-05-11Z-1f0c9a2b/       its record, report and deck, as long as kept
 
-The name has the time (UTC) at which the run ended, and the first digits of its evidence: the digest
-of the test, its environment, the deck with its solver, and the parameters that came out. A run with
-the same evidence as an earlier one teaches nothing new and leaves no second file, so an update that
-is repeated, or that finds no new test, is the same night.
+The name has the time (UTC) of the test, or else at which the run ended, and the first digits of its
+evidence: the digest of the test, its environment, the deck with its solver, and the parameters that
+came out. A run with the same evidence as an earlier one teaches nothing new and leaves no second
+file, so an update that is repeated, or that finds no new test, is the same night.
 
 There is no index: the files are read each time, 1,000 of them in about a second. A file is written
 under another name, flushed and renamed, so it is whole or absent, and any number of processes may
@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from modetune.core.brief import brief
@@ -48,7 +49,8 @@ DIGITS = 6
 class PastRun:
     """A finished update in the history of its structure.
 
-    number: from 1, in the order of the runs. ended_at: seconds since 1970. evidence: digest of what
+    number: from 1, in the order of the runs. ended_at, measured_at: of the update and of its test,
+    seconds since 1970, the latter NaN if unknown. evidence: digest of what
     it found, and from what. test_digest: of the measured data. state, drift: of the structure, a
     word and a sentence, as found at the end of this run; changed: parameters that changed. names,
     quantities: of the parameters; units: the deck's; values, deck_values, standard_errors,
@@ -63,6 +65,7 @@ class PastRun:
     number: int
     name: str
     ended_at: float
+    measured_at: float
     evidence: str
     test_digest: str
     status: str
@@ -97,9 +100,14 @@ class PastRun:
     __repr__ = brief
 
     @property
+    def time(self) -> float:
+        """When its test was measured, or else when it ended, seconds since 1970."""
+        return self.ended_at if math.isnan(self.measured_at) else self.measured_at
+
+    @property
     def at(self) -> str:
-        """When it ended, in UTC: 2026-11-27T21:05:11Z."""
-        return utc(self.ended_at)
+        """The same in UTC: 2026-11-27T21:05:11Z."""
+        return utc(self.time)
 
     @property
     def stem(self) -> str:
@@ -118,8 +126,18 @@ class PastRun:
         return {label: mode for label, mode in both if mode}
 
 
+def _with_time(file: h5py.File) -> None:
+    """Change the content of format 1 into that of 2, which may know when the test was."""
+    file.attrs["measured_at"] = np.nan
+
+
 PAST_RUN = RecordFile(
-    PastRun, "history", f"{FOLDER}/*.h5", 1, remedy="move it out of the folder of the history"
+    PastRun,
+    "history",
+    f"{FOLDER}/*.h5",
+    2,
+    {1: _with_time},
+    remedy="move it out of the folder of the history",
 )
 
 
@@ -146,13 +164,14 @@ class History:
     def nights(self) -> tuple[PastRun, ...]:
         """Return the last run of each test that has the parameters of the newest run.
 
+        In the order of their tests where the time of each is known, else in that of the runs.
         Measured data that are used twice have the same noise, so a test counts once.
         """
         if not self.runs:
             return ()
         names = self.runs[-1].names
         last = {run.test_digest: run for run in self.runs if run.names == names}
-        return tuple(sorted(last.values(), key=_order))
+        return in_time(last.values())
 
     def series(self) -> Series:
         """Return the parameters of all nights, relative to the newest deck.
@@ -166,7 +185,7 @@ class History:
         scale = 1.0 / nights[-1].references
         return Series(
             # A clock that goes back must not change the order.
-            times=np.maximum.accumulate([run.ended_at for run in nights]),
+            times=np.maximum.accumulate([run.time for run in nights]),
             names=nights[-1].names,
             values=np.array([run.values * scale for run in nights]),
             covariances=np.array([run.covariance * np.outer(scale, scale) for run in nights]),
@@ -175,6 +194,14 @@ class History:
             ).reshape(len(nights), len(quantities)),
             quantities=quantities,
         )
+
+
+def in_time(runs: Iterable[PastRun]) -> tuple[PastRun, ...]:
+    """Return runs in the order of their tests if all times are known, else in their own order."""
+    found = sorted(runs, key=_order)
+    if any(math.isnan(run.measured_at) for run in found):
+        return tuple(found)
+    return tuple(sorted(found, key=lambda run: run.measured_at))
 
 
 def utc(seconds: float) -> str:
@@ -253,6 +280,7 @@ def past_run(record: CampaignRecord, history: History) -> PastRun:
         number=max((run.number for run in history.runs), default=0) + 1,
         name=record.name,
         ended_at=record.ended_at,
+        measured_at=record.measured_at,
         evidence=_evidence_of(record, digest, values),
         test_digest=digest,
         status=record.status,

@@ -186,7 +186,8 @@ class CampaignRecord:
     mode of `test` is of; empty where the campaign has one model. splits: cards that were added for
     the elements of parameters, a sentence each. fields: what the test says of parameters an element
     or zone; none while the campaign runs. covariance: of repeatability, empty without a
-    sensitivity. ended_at: seconds since 1970. environment: what was measured with the test.
+    sensitivity. ended_at: seconds since 1970. environment: what was measured with the test;
+    measured_at: when, seconds since 1970, NaN if unknown.
     state, drift: of the structure over its runs, empty where no history was kept; changed: names of
     the parameters that changed.
     """
@@ -228,6 +229,7 @@ class CampaignRecord:
     covariance: Floats = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     ended_at: float = float("nan")
     environment: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    measured_at: float = float("nan")
     state: str = ""
     drift: str = ""
     changed: tuple[str, ...] = ()
@@ -284,12 +286,23 @@ def _with_history(file: h5py.File) -> None:
     made["values"] = np.zeros(0)
 
 
+def _with_time(file: h5py.File) -> None:
+    """Change the content of format 11 into that of 12, which may know when the test was."""
+    file.attrs["measured_at"] = np.nan
+
+
 CAMPAIGN = RecordFile(
     CampaignRecord,
     "campaign",
     "campaign.h5",
-    11,
-    {7: _with_extent, 8: _with_repeatability, 9: _without_sections, 10: _with_history},
+    12,
+    {
+        7: _with_extent,
+        8: _with_repeatability,
+        9: _without_sections,
+        10: _with_history,
+        11: _with_time,
+    },
 )
 
 

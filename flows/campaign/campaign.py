@@ -151,6 +151,12 @@ class Campaign:
         }
 
     @property
+    def measured_at(self) -> float:
+        """When the newest of the tests was measured, seconds since 1970; NaN if unknown."""
+        known = [case.measurement.measured_at for case in self.used]
+        return max((at for at in known if at == at), default=float("nan"))
+
+    @property
     def start(self) -> Floats:
         """Parameter values (n_parameters,) that updating starts from."""
         return self.parameters.initial if self.begin is None else np.array(self.begin)

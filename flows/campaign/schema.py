@@ -14,7 +14,7 @@ import ast
 import inspect
 import json
 from collections.abc import Iterator
-from datetime import date
+from datetime import date, datetime
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -331,6 +331,10 @@ class TestSection(Section):
     environment: dict[Name, Finite] = Field(default={})
     """What else was measured with the test, by name: `{temperature_C: 21.5}`. Rows `environment
     temperature_C, 21.5` of the test's tables give the same; a value here replaces theirs."""
+    measured_at: datetime | None = None
+    """When the test was measured, for the history of the structure: `2026-11-27T02:00:00Z`, in UTC
+    without a zone. A row `measured_at` of the test's tables gives the same; this value replaces it.
+    """
     length: LengthUnit | None = None
     """Length unit of the test's coordinates, if its files do not define it."""
     axes: Literal["auto", "rows", "columns"] = "auto"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from modetune.adapters.solver import Solver
+from modetune.adapters.test_files.environment_csv import seconds_of
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.adapters.yaml_file import YamlFile
 from modetune.core.errors import CampaignError, ModesError
@@ -58,7 +59,12 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
             return None
         measurement = again
     environment = {**measurement.environment, **file.test.environment}
-    measurement = replace(measurement, environment=environment)
+    at = file.test.measured_at
+    measurement = replace(
+        measurement,
+        environment=environment,
+        measured_at=measurement.measured_at if at is None else seconds_of(at),
+    )
     test = measurement.modes
     if test is None:
         problems.append(f"{source.where(('test', 'modes'))}: {text} holds no modes")
@@ -144,6 +150,7 @@ def _with_repeats(
         geometry=measurement.geometry,
         frfs=measurement.frfs,
         environment=measurement.environment,
+        measured_at=measurement.measured_at,
         notes=(*measurement.notes, *mean.notes),
     )
 

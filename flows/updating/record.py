@@ -138,6 +138,7 @@ def campaign_record(
         fields=answers,
         covariance=errors.covariance,
         environment=campaign.environment,
+        measured_at=campaign.measured_at,
     )
 
 

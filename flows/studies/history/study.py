@@ -131,14 +131,15 @@ def history(on: StudyContext, options: HistoryOptions, csv: Csv = None) -> Study
         if csv is not None:
             raise CampaignError("--csv writes the table of a history, not of two runs")
         return _of_two(difference(*found.two))
+    from modetune.core.monitoring.past_runs import in_time
     from modetune.flows.updating.run_history import drift_at
 
-    runs = found.history.runs
+    newest = found.history.runs[-1]
     whole = StructureHistory(
-        runs[-1].name,
+        newest.name,
         found.folder,
-        runs,
-        None if found.monitoring is None else drift_at(found.history, runs[-1], found.monitoring),
+        in_time(found.history.runs),
+        None if found.monitoring is None else drift_at(found.history, newest, found.monitoring),
         found.history.problems,
     )
     return _of_one(whole, csv)

@@ -38,7 +38,7 @@ def run_table(runs: Sequence[PastRun], title: str = "Runs, oldest first") -> Tab
     quantities = tuple(dict.fromkeys(name for run in runs for name in run.environment))[:COLUMNS]
     columns = (
         Column("run", name="number"),
-        Column("ended (UTC)", words=True, name="at"),
+        Column("time (UTC)", words=True, name="at"),
         Column("structure", words=True, name="state"),
         Column("status", words=True, name="status"),
         Column("parameters", words=True, name="verdict"),
@@ -99,7 +99,7 @@ def trend_charts(name: str, runs: Sequence[PastRun]) -> dict[str, Chart]:
 
 def _time(runs: Sequence[PastRun]) -> tuple[Floats, Axis]:
     """Return the place of each run along the axis: days, or numbers of runs within one day."""
-    times = np.array([run.ended_at for run in runs])
+    times = np.array([run.time for run in runs])
     days = (times - times[0]) / DAY_S
     if np.ptp(days) < 1.0 or (np.diff(days) < 0.0).any():
         numbers = np.array([float(run.number) for run in runs])

@@ -143,9 +143,10 @@ def _judged(
         raise
     except ModetuneError as error:
         return replace(item, decision="set aside", reasons=(str(error),))
-    tracked = test.tracked
+    tracked, at = test.tracked, test.measurement.measured_at
     found = replace(
         item,
+        at=item.at if at != at else at,
         modes=tracked.modes.numbers,
         missing=tracked.missing,
         new_hz=tuple(round(float(hz), 4) for hz in tracked.new_hz),
@@ -206,12 +207,17 @@ def _updated(
     A test that the campaign or its model cannot use is said, and the next one goes on. Any other
     failure, such as a solver's, ends the study, and its repetition begins with this test.
     """
+    from modetune.core.monitoring.past_runs import utc
     from modetune.flows.updating.forecast import Unwatched
 
     assert on.run_study is not None
     on.working(f"updating with {near(Path(item.file))}")
     section = _section(options)
-    changed: dict[str, Any] = {"modes": [str(inbox.modes_file(item).absolute())], "repeats": []}
+    changed: dict[str, Any] = {
+        "modes": [str(inbox.modes_file(item).absolute())],
+        "repeats": [],
+        "measured_at": utc(item.at),
+    }
     for key, numbers in (("use", section.use or ()), ("hold_out", section.hold_out)):
         if numbers:
             changed[key] = [number for number in numbers if number in item.modes]

@@ -34,6 +34,7 @@ def past(number: int, stiffness: float = 1.0, **changed: object) -> PastRun:
         number=number,
         name="bridge",
         ended_at=EVENING + DAY_S * number,
+        measured_at=float("nan"),
         evidence=f"{number:064x}"[::-1],
         test_digest=f"test {number}",
         status="converged",

@@ -64,6 +64,7 @@ CAMPAIGNS: dict[str, dict[str, Any]] = {
             "modes": ["part.csv", "points.csv"],
             "repeats": ["again.csv"],
             "environment": {"temperature_C": 21.5},
+            "measured_at": "2026-11-27T02:00:00Z",
             "length": "mm",
             "axes": "auto",
             "sensors": {

@@ -96,6 +96,22 @@ def test_modes_in_any_order_get_the_campaigns_numbers(lab: Lab) -> None:
     assert [run.environment["temperature_C"] for run in runs] == [16.0, 17.0]
 
 
+def test_a_test_that_comes_late_takes_its_place_in_time(lab: Lab) -> None:
+    lab.add(3, k1=0.85)
+    lab.received()
+    late = lab.add(1)
+    late.write_text(late.read_text() + "measured_at,2026-09-21T05:00:00+02:00\n")
+    os.utime(late, (FIRST, FIRST))
+    lab.received()
+    told = json.loads(lab.structure.run("history", "campaign.yaml", "--json").stdout)["runs"]
+    assert [(run["number"], run["at"]) for run in told] == [
+        (2, "2026-09-21T03:00:00Z"),
+        (1, "2026-09-24T14:13:20Z"),
+    ]
+    k1 = [run["parameters"][0]["relative"] for run in told]
+    assert k1[1] / k1[0] == pytest.approx(0.85, abs=0.02)
+
+
 def test_each_test_counts_once_and_a_change_ends_with_7(lab: Lab) -> None:
     for night in (1, 2, 3):
         lab.add(night)
