@@ -115,16 +115,23 @@ class Rendered:
 
     content: everything of the model and the analysis that can change the numbers; the job's key
     is made of it. write: writes the input files into an empty folder. size: bytes that it holds.
+    call: computes the result in this process, instead of files and a program.
     """
 
     content: Json
     write: Callable[[Path], None]
     size: int = 0
+    call: Callable[[], Result] | None = None
 
     @classmethod
     def of_texts(cls, content: Json, texts: Mapping[str, bytes]) -> Rendered:
         """A job whose input files are these, by their names."""
         return cls(content, partial(_write_texts, texts), sum(map(len, texts.values())))
+
+    @classmethod
+    def of_call(cls, content: Json, call: Callable[[], Result]) -> Rendered:
+        """A job that a function of this process computes; it raises SolverRejected."""
+        return cls(content, partial(_write_texts, {}), call=call)
 
 
 def _write_texts(texts: Mapping[str, bytes], folder: Path) -> None:
@@ -565,7 +572,12 @@ class Solver:
 
     def read(self, values: Values, analysis: Analysis, folder: Path, return_code: int) -> Result:
         """Read a finished job. Raises SolverError where there is no result."""
-        result = self.program.read(self.deck.edited(values), analysis, folder, return_code)
+        return self.counted(
+            self.program.read(self.deck.edited(values), analysis, folder, return_code)
+        )
+
+    def counted(self, result: Result) -> Result:
+        """A result with its number of rigid modes, where it has modes."""
         if not isinstance(result, ModalResult):
             return result
         energies = result.total_strain_energy

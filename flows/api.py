@@ -14,17 +14,24 @@ raise CampaignError, ModelError, SolverError, ModesError and StoreError.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_origin, overload
 
+from modetune.adapters.function.solver import FunctionProgram, UserFunction
 from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.measurement.stabilisation import Criteria
-from modetune.flows.campaign.arrays import write_campaign
+from modetune.core.storage.store import Store
+from modetune.flows.campaign.arrays import user_function, write_campaign
 from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.site import RunSection
+from modetune.flows.campaign.sketch import campaign_name
+from modetune.flows.campaign.solvers import bind_function
 from modetune.flows.extras import named_extras
 from modetune.flows.report.terminal import terminal
 from modetune.flows.server.run import carried_out
@@ -35,7 +42,7 @@ from modetune.flows.studies.identify.operational_modes import OperationalModes, 
 from modetune.flows.studies.init.draft import Draft, init_campaign
 from modetune.flows.studies.study import StudyParameter, split_files, with_model
 from modetune.flows.updating.display import ConsoleProgress
-from modetune.flows.updating.forecast import Progress, Unwatched
+from modetune.flows.updating.forecast import OnIteration, Progress, Unwatched, Watched
 from modetune.flows.updating.record import CampaignRun, read_run
 
 if TYPE_CHECKING:
@@ -86,18 +93,37 @@ def load(
     A mapping may have arrays instead of the files of model and test: `model` with stiffness, mass
     (n, n), parts and dofs, `test` with frequencies_hz (n_modes,), mode_shapes (n_sensors, n_modes)
     and dofs. It is written as a campaign file to a folder, `.modetune/campaigns/NAME` by default.
+    `model` may also be a function of the parameters' values that returns (frequencies_hz,
+    mode_shapes) or (stiffness, mass), or a mapping with it as `function`.
     settings: {"update.max_iterations": 5}. Raises CampaignError with all problems.
     """
-    return load_campaign(_campaign_path(campaign, folder), _texts(settings))
+    path = _campaign_path(campaign, folder)
+    function = user_function(campaign) if isinstance(campaign, Mapping) else None
+    if function is None:
+        return load_campaign(path, _texts(settings))
+    loaded = load_campaign(path, _texts(settings), bind=bind_function(function))
+    if loaded.run.engine != "local" or loaded.run.timeout_s != RunSection().timeout_s:
+        raise CampaignError(
+            f"{function.place} runs in this process: `run.engine` must be local, and nothing can "
+            "stop it after `run.timeout_s`"
+        )
+    return loaded
 
 
 def update(
-    campaign: CampaignLike,
+    campaign: CampaignLike | None = None,
     runs: StrPath = "runs",
     *,
+    model: Callable[..., Any] | None = None,
+    test: Any = None,
+    parameters: Mapping[str, Any] | Sequence[Mapping[str, Any]] = (),
+    name: str = "",
+    version: str | None = None,
+    dofs: Sequence[Any] | None = None,
     starts: int | None = None,
     fail_on: FailOn | None = None,
     settings: Settings = (),
+    on_iteration: OnIteration | None = None,
     progress: bool = False,
     prefect: bool = False,
 ) -> CampaignRun:
@@ -105,9 +131,27 @@ def update(
 
     Writes record, updated deck and report to `runs/NAME`. starts: overrides `update.starts`.
     fail_on: overrides `run.fail_on`; a verdict that it excludes makes the flow run fail and the
-    result's `exit_code` 6, and raises nothing.
+    result's `exit_code` 6, and raises nothing. on_iteration: called with each `IterationRecord`.
+
+    model: instead of a campaign, a function of the parameters' values that returns
+    (frequencies_hz, mode_shapes) or (stiffness, mass), with the `test` and `parameters` of `load`.
+    parameters: values by name, {"k1": 1100.0}, or a list with campaign keys and a `value` each.
+    name: of the campaign, the function's by default. version: of the function's results, which are
+    stored only with one. dofs: names of its rows, the test's sensors by default.
     """
-    found: CampaignRun = _found("update", locals())
+    given = locals()
+    for key in ("model", "test", "parameters", "name", "version", "dofs"):
+        del given[key]
+    if (campaign is None) == (model is None):
+        raise CampaignError("update requires either a campaign or model=, test= and parameters=")
+    if model is not None:
+        given["campaign"] = {
+            "name": name or campaign_name(Path(UserFunction(model).name)),
+            "model": {"function": model, "version": version, "dofs": dofs},
+            "test": test,
+            "parameters": parameters,
+        }
+    found: CampaignRun = _found("update", given)
     return found
 
 
@@ -673,9 +717,13 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     """Return the result of a study; given: the arguments of its function, by name."""
     study = find_study(name)
     first = study.fields[0].name
-    loaded, settings = None, given.pop("settings")
+    loaded, settings, watch = None, given.pop("settings"), given.pop("on_iteration", None)
     if "campaign" in given:
         campaign = given.pop("campaign")
+        if isinstance(campaign, Mapping) and user_function(campaign) is not None:
+            starts = given.pop("starts", None)
+            more = [] if starts is None else [f"update.starts={starts}"]
+            campaign, settings = load(campaign, [*_texts(settings), *more]), ()
         if given.get("test") and not isinstance(campaign, str | Path):
             raise CampaignError("a test requires the path of a deck or of a campaign file")
         if isinstance(campaign, Campaign):
@@ -692,11 +740,25 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     parameters = {"settings": _texts(settings)} | {
         item.name: _parameter(item, given[item.name]) for item in study.fields if item.name in given
     }
-    with named_extras(), watched as progress:
-        end = carried_out(study, parameters, progress, prefect=door, campaign=loaded)
+    with named_extras(), watched as progress, _without_past(loaded) as loaded:
+        seen = progress if watch is None else Watched(progress, watch)
+        end = carried_out(study, parameters, seen, prefect=door, campaign=loaded)
     if end.failure is not None:
         raise end.failure
     return end.found
+
+
+@contextmanager
+def _without_past(campaign: Campaign | None) -> Iterator[Campaign | None]:
+    """Yield the campaign, with an empty store of its own if its model is a function without a
+    version: what such a function returned before may be out of date."""
+    program = None if campaign is None else campaign.cases[0].solver.program
+    if not isinstance(program, FunctionProgram) or program.function.version:
+        yield campaign
+        return
+    assert campaign is not None
+    with TemporaryDirectory(prefix="modetune-") as folder:
+        yield replace(campaign, store=Store(Path(folder)))
 
 
 def _door(start: bool) -> Literal["start", "find", "off"]:

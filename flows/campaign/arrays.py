@@ -5,11 +5,16 @@ Keys are those of the campaign file. Two keys may have arrays instead of the pat
     model   stiffness, mass (n, n), dense or sparse; parts: {name: {stiffness, mass}}, what each
             parameter scales; dofs: n names such as "12.z" or pairs (12, "z"), else unknown i is
             component x of node i. The solver is `matrices`.
+            Or function: a function of the parameters' values, or the function alone; dofs: names of
+            the rows of what it returns, the test's by default; version: of its results. Parameters
+            then have a `value`, what the function gets at 1: {k1: 1100.0}, or a list with the keys
+            of a campaign file. adapters/function says what it may take and return.
     test    frequencies_hz (n_modes,), and where shapes were measured mode_shapes
             (n_sensors, n_modes) with the dofs (n_sensors) of their rows; numbers (n_modes,) of the
             modes, else 1, 2, ...; damping_ratios (n_modes,). Or modes: a Measurement or a ModeSet.
 
-The command line can run, repeat and schedule the written campaign as it is.
+The command line can run, repeat and schedule the written campaign as it is, unless its model is a
+function, which no file holds.
 """
 
 from __future__ import annotations
@@ -23,17 +28,21 @@ import numpy as np
 import yaml
 from scipy import sparse
 
+from modetune.adapters.function.solver import UserFunction
 from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
+from modetune.adapters.test_files.measurements import read_measurement
 from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.measurement.measurement import Measurement
-from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, mode_set
+from modetune.core.modes import COMPONENTS, MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.core.storage.files import storage_errors
 from modetune.flows.campaign.schema import STORE_VARIABLE
+from modetune.flows.campaign.solvers import FUNCTION
 
 #: Keys of a model and of a test that are given as arrays.
 MODEL_ARRAYS = {"stiffness", "mass", "parts", "dofs"}
+FUNCTION_KEYS = {"function", "version", "dofs"}
 TEST_ARRAYS = {"frequencies_hz", "mode_shapes", "dofs", "numbers", "damping_ratios"}
 #: Folder of written campaigns by default, below the current one.
 MADE = Path(".modetune") / "campaigns"
@@ -49,8 +58,13 @@ def write_campaign(given: Mapping[str, Any], folder: Path | None = None) -> Path
     StorageUnavailable.
     """
     campaign = {key: _plain(value) for key, value in given.items()}
+    function, problems = user_function(given), list[str]()
+    if function is not None:
+        try:
+            campaign |= _function_campaign(campaign, function)
+        except (CampaignError, ModelError, ModesError) as error:
+            raise CampaignError(f"model: {error}") from error
     folder = (folder or MADE / str(given.get("name", "campaign"))).resolve()
-    problems: list[str] = []
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         _sides(campaign, folder, "", problems)
@@ -71,6 +85,72 @@ def write_campaign(given: Mapping[str, Any], folder: Path | None = None) -> Path
     return path
 
 
+def user_function(given: Mapping[str, Any]) -> UserFunction | None:
+    """Return the function that is a campaign's model, None where it is none."""
+    model: Any = given.get("model")
+    version = None
+    if isinstance(model, Mapping):
+        model, version = model.get("function"), model.get("version")
+    if model is None or isinstance(model, str):
+        return None
+    if not callable(model):
+        raise CampaignError(f"model: `function` is a {type(model).__name__}, not a function")
+    return UserFunction(model, "" if version is None else str(version))
+
+
+def _function_campaign(campaign: dict[str, Any], function: UserFunction) -> dict[str, Any]:
+    """Return model, parameters and run of a campaign whose model is a function.
+
+    Raises CampaignError, ModelError, ModesError.
+    """
+    given = campaign["model"]
+    model = {} if callable(given) else {k: v for k, v in given.items() if k not in FUNCTION_KEYS}
+    parameters, values = list[Any](), dict[str, float]()
+    listed = campaign.get("parameters") or ()
+    if isinstance(listed, dict):
+        listed = [
+            {"name": name, **(item if isinstance(item, dict) else {"value": item})}
+            for name, item in listed.items()
+        ]
+    for item in listed:
+        own = dict(item)
+        value = own.pop("value", None)
+        if value is not None:
+            values[str(own.get("name"))] = float(value)
+        own.setdefault("quantity", "variable" if value is None else "number")
+        parameters.append(own)
+    if not values:
+        raise CampaignError("a function needs parameters with a `value`, such as {'k1': 1100.0}")
+    dofs = None if callable(given) else given.get("dofs")
+    rows = _test_dofs(campaign.get("test")) if dofs is None else [_dof(item) for item in dofs]
+    if not rows:
+        raise CampaignError(
+            "the test has no sensors that could name the rows of what the function returns; give "
+            "`dofs`: {'function': ..., 'dofs': ['1.x', '2.x']}"
+        )
+    deck = {"function": function.place, "values": values, "dofs": [dof_name(dof) for dof in rows]}
+    run = {"parallel": 1, **(campaign.get("run") or {})}
+    held = {"solver": FUNCTION, "units": "m-kg-s", **model, "deck": deck}
+    return {"model": held, "parameters": parameters, "run": run}
+
+
+def _test_dofs(test: Any) -> list[Dof]:
+    """Return the degrees of freedom of a test's shapes. Raises CampaignError, ModesError."""
+    given = test.get("modes") if isinstance(test, dict) else test
+    if isinstance(test, dict) and "dofs" in test:
+        return [_dof(item) for item in test["dofs"]]
+    if isinstance(given, str | os.PathLike):
+        given = [given]
+    if isinstance(given, list | tuple):
+        given = read_measurement([Path(item) for item in given])
+    if isinstance(given, Measurement):
+        given = given.modes
+    modes = given.modes if isinstance(given, MeasuredModes) else given
+    if not isinstance(modes, ModeSet):
+        return []
+    return list(zip(modes.nodes.tolist(), modes.components.tolist(), strict=True))
+
+
 def _sides(holder: dict[str, Any], folder: Path, prefix: str, problems: list[str]) -> None:
     """Write the arrays of a campaign or configuration, and make paths absolute."""
     for key, write in (("model", _write_model), ("test", _write_test)):
@@ -86,6 +166,10 @@ def _sides(holder: dict[str, Any], folder: Path, prefix: str, problems: list[str
 
 
 def _write_model(model: dict[str, Any], folder: Path, prefix: str) -> dict[str, Any]:
+    if model.get("solver") == FUNCTION and isinstance(model.get("deck"), dict):
+        deck = folder / f"{prefix}model.yaml"
+        deck.write_text(yaml.safe_dump(model["deck"], sort_keys=False), encoding="utf-8")
+        return {**model, "deck": deck.name}
     if "stiffness" not in model and "mass" not in model:
         if isinstance(model.get("deck"), str | os.PathLike):
             model["deck"] = str(Path(model["deck"]).resolve())

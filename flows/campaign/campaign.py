@@ -50,7 +50,7 @@ from modetune.flows.campaign.schema import (
     override,
 )
 from modetune.flows.campaign.site import RunSection
-from modetune.flows.campaign.solvers import bind_solver, untested_capabilities
+from modetune.flows.campaign.solvers import Binder, bind_solver, untested_capabilities
 from modetune.flows.campaign.test import (
     complex_shapes,
     frfs_on_model,
@@ -235,11 +235,13 @@ def load_campaign(
     settings: list[str] | None = None,
     form: type[CampaignFile] = CampaignFile,
     solver: Solver | None = None,
+    bind: Binder = bind_solver,
 ) -> Campaign:
     """Read a campaign file, its models and its tests, and check all of it.
 
     form: which keys are required. solver: already bound to the model, for a campaign without
-    parameters. Raises CampaignError with all problems, StoreError.
+    parameters. bind: what binds solvers to models. Raises CampaignError with all problems,
+    StoreError.
     """
     source = path if isinstance(path, YamlFile) else read_yaml(path, "a campaign")
     file = campaign_form(source, settings, form)
@@ -247,7 +249,7 @@ def load_campaign(
     problems: list[str] = []
     source, file, fields = _with_fields(source, file, problems)
     parameters = file.parameter_set()
-    cases = _read_cases(source, file, problems, solver)
+    cases = _read_cases(source, file, problems, solver, bind)
     problems += core_problems(source, run, cores()) + licence_problems(source, file)
     if problems:
         raise CampaignError(list(dict.fromkeys(problems)))
@@ -317,16 +319,20 @@ def _with_fields(
 
 
 def _read_cases(
-    source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None
+    source: YamlFile,
+    file: CampaignFile,
+    problems: list[str],
+    solver: Solver | None,
+    bind: Binder,
 ) -> list[Case]:
     """Return the campaign's case, or one per configuration, without those that have problems."""
     if not file.configurations:
-        case = _read_case(source, file, problems, solver)
+        case = _read_case(source, file, problems, solver, bind)
         return [] if case is None else [case]
     cases = []
     for item in configuration_files(source, file, problems):
         texts: list[str] = []
-        case = _read_case(item.source, item.file, texts) if item.columns else None
+        case = _read_case(item.source, item.file, texts, None, bind) if item.columns else None
         problems += texts
         if case is not None:
             section = item.section
@@ -343,11 +349,15 @@ def _read_cases(
 
 
 def _read_case(
-    source: YamlFile, file: CampaignFile, problems: list[str], solver: Solver | None = None
+    source: YamlFile,
+    file: CampaignFile,
+    problems: list[str],
+    solver: Solver | None,
+    bind: Binder,
 ) -> Case | None:
     """Return a model with its test; None where there are problems."""
     measurement = read_test(source, file, problems)
-    solver = solver or _read_model(source, file, problems)
+    solver = solver or _read_model(source, file, problems, bind)
     mapping, store = None, Store(_store_folder(source, file))
     if measurement is not None and solver is not None:
         residuals = file.residuals.with_default(_compares_shapes(file, measurement, solver))
@@ -430,7 +440,9 @@ def _store_folder(source: YamlFile, file: CampaignFile) -> Path:
     return Path(named) if named else base / ".modetune" / "store"
 
 
-def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> Solver | None:
+def _read_model(
+    source: YamlFile, file: CampaignFile, problems: list[str], bind: Binder
+) -> Solver | None:
     parameters = tuple(item.parameter() for item in file.parameters)
     without = target_problems(source, file)
     if without:
@@ -439,7 +451,7 @@ def _read_model(source: YamlFile, file: CampaignFile, problems: list[str]) -> So
     deck = source.path.parent / file.model.deck
     remedy = "" if deck.exists() else _written_deck(source, file)
     try:
-        solver = bind_solver(file.model, deck, parameters)
+        solver = bind(file.model, deck, parameters)
     except ModelError as error:
         problems.append(f"{error} (named in {source.where(('model', 'deck'))}){remedy}")
         return None

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.adapters.solver import ModalCase, Program, Solver
@@ -32,19 +33,41 @@ from modetune.flows.campaign.schema import ModelSection
 from modetune.flows.campaign.site import HOME_VARIABLE, user_home
 from modetune.flows.campaign.units import METRES
 
+if TYPE_CHECKING:
+    from modetune.adapters.function.solver import UserFunction
+
+#: The name of the solver of a model that is a function of Python.
+FUNCTION = "function"
 #: Entry points of packages that bring a solver.
 GROUP = "modetune.solvers"
 #: The start of a Nastran deck: a comment, a statement, or a card.
 NASTRAN_START = re.compile(r"\$|[A-Z][A-Z0-9]*[*,=(\s]|CEND|[A-Z0-9]{1,8}\s*$", re.IGNORECASE)
 
 
+#: A function that binds a solver to a campaign's model and parameters.
+Binder = Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]
+
+
 def bind_solver(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
     """Return the campaign's solver bound to its deck. Raises ModelError."""
+    if model.solver == FUNCTION:
+        raise ModelError(
+            f"{deck} belongs to a function of Python, which only the session that has it can run: "
+            "call modetune.load or modetune.update with the function there; to run it from the "
+            "command line or to deploy it, make it a program (`solver: command`)"
+        )
     if model.solver in SOLVERS:
         solver = SOLVERS[model.solver](model, deck, parameters)
     else:
         solver = _registered(model.solver, deck, parameters)
     return replace(solver, confirmed=read_self_test(solver.program))
+
+
+def bind_function(function: UserFunction) -> Binder:
+    """Return what binds a function of Python to a campaign that was written for it."""
+    from modetune.adapters.function.solver import function_solver
+
+    return lambda model, deck, parameters: function_solver(function, deck, parameters)
 
 
 def _calculix(model: ModelSection, deck: Path, parameters: tuple[Parameter, ...]) -> Solver:
@@ -144,7 +167,7 @@ def _registered(name: str, deck: Path, parameters: tuple[Parameter, ...]) -> Sol
 
 
 #: The function that binds each solver to its model.
-SOLVERS: dict[str, Callable[[ModelSection, Path, tuple[Parameter, ...]], Solver]] = {
+SOLVERS: dict[str, Binder] = {
     "calculix": _calculix,
     "nastran": _nastran,
     "mystran": _mystran,

@@ -280,6 +280,8 @@ class JobEngine:
             raise SolverCancelled(f"cancelled while a job waited for {name}")
 
     def _run(self, job: Job, plan: JobPlan, note: str) -> Result:
+        if plan.rendered.call is not None:
+            return self._called(plan.rendered.call)
         with self._job_folder(plan.key) as folder:
             plan.rendered.write(folder)
             (folder / NOTE_FILE).write_text(note, encoding="utf-8")
@@ -321,6 +323,15 @@ class JobEngine:
                 raise NoResult(
                     f"{self.program.name} left no result in {folder}: {error}"
                 ) from error
+
+    def _called(self, call: Callable[[], Result]) -> Result:
+        """Compute a result in this process."""
+        with self.counter.held(self.limits, self._wait_for_slot):
+            started = time.monotonic()
+            try:
+                return finite(self.solver.counted(call()))
+            finally:
+                self.costs.add(time.monotonic() - started, self.limits)
 
     @contextmanager
     def _job_folder(self, key: str) -> Iterator[Path]:

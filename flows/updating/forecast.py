@@ -101,6 +101,33 @@ class Progress(Protocol):
         return
 
 
+#: What a user's function gets at each complete iteration.
+OnIteration = Callable[[IterationRecord], object]
+
+
+class Watched(Progress):
+    """Shows what another watcher shows, and calls a function at each complete iteration."""
+
+    def __init__(self, progress: Progress, call: OnIteration) -> None:
+        self.progress, self.call = progress, call
+
+    def keep(self, folder: Path) -> None:
+        self.progress.keep(folder)
+
+    def forecast(self, forecast: Any) -> None:
+        self.progress.forecast(forecast)
+
+    def working(self, text: str) -> None:
+        self.progress.working(text)
+
+    def page(self, address: str) -> None:
+        self.progress.page(address)
+
+    def iteration(self, record: IterationRecord) -> None:
+        self.progress.iteration(record)
+        self.call(record)
+
+
 class Unwatched(Progress):
     """A watcher that does nothing."""
 

@@ -18,8 +18,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import modetune
 from modetune.core.errors import SolverCrashed
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.schema import SensitivitySection
@@ -105,6 +107,33 @@ def test_a_solver_that_fails_once_is_run_again_by_prefect(served: Served) -> Non
     assert (first["run_count"], first["state_name"]) == (2, "Completed")
     assert {task["run_count"] for task in tasks if task is not first} == {1}
     assert not end.remark
+
+
+def test_a_function_of_python_is_called_in_the_tasks_of_a_flow(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two unit masses on springs of 900 and 1000 N/m; eigenvalues of K in closed form."""
+    from prefect.context import TaskRunContext
+
+    names = set()
+
+    def model(k1: float, k2: float) -> tuple[Any, Any]:
+        context = TaskRunContext.get()
+        names.add(context.task_run.name if context else "")
+        return np.array([[k1 + k2, -k2], [-k2, k2]]), np.eye(2)
+
+    monkeypatch.chdir(served.bench.folder)
+    root = (2900.0**2 / 4.0 - 900.0 * 1000.0) ** 0.5
+    test = {
+        "frequencies_hz": np.sqrt([1450.0 - root, 1450.0 + root]) / (2.0 * np.pi),
+        "mode_shapes": np.array([[1000.0, 1000.0], [450.0 + root, 450.0 - root]]),
+        "dofs": ["1.x", "2.x"],
+    }
+    found = modetune.update(model=model, test=test, parameters={"k1": 1000.0, "k2": 1000.0})
+    assert found.record.updated == pytest.approx([0.9, 1.0], rel=0.005)  # e1: 0.1 % of a frequency
+    assert served.newest()["state_name"].startswith("Converged")
+    assert "iteration 0 / modal" in names
+    assert "" not in names
 
 
 def test_the_state_of_a_run_carries_the_verdict(served: Served) -> None:
