@@ -217,7 +217,7 @@ def _modes(found: Any, deck: FunctionDeck, analysis: ModalAnalysis) -> ModalResu
     first, second = parts
     n_dof = deck.nodes.size
     for name, item in zip(("first", "second"), (first, second), strict=True):
-        numbers: Any = item.tocsr().data if sparse.issparse(item) else item
+        numbers = item if isinstance(item, np.ndarray) else item.tocsr().data
         if numbers.dtype.kind not in "fiu":
             raise ModesError(f"its {name} part has {numbers.dtype} values; expected real numbers")
         if not np.isfinite(numbers).all():
