@@ -337,8 +337,8 @@ class _Watch:
         if early is not None:
             return early
         alarm = None
-        if self.runs.size > HANDFUL:
-            first = max(HANDFUL, 3 * (2 + len(self.series.quantities)))
+        first = max(HANDFUL, 3 * (2 + len(self.series.quantities)))
+        if self.runs.size > first:
             alarm = self._scan(first, self.learning, learning=True)
         if alarm is None and self._counted().size > self.learning:
             alarm = self._scan(self.learning, None, learning=False)

@@ -106,6 +106,13 @@ def test_few_nights_are_learned_from_and_say_so() -> None:
     assert find_drift(cut(nights(4, 30), 20)).sentence == "Learning: 20 of 30 runs, no change"
 
 
+def test_any_number_of_nights_has_a_state() -> None:
+    """A slope of the environment needs nine nights before one is judged."""
+    series = nights(4, 34)
+    for n in range(1, 35):
+        assert find_drift(cut(series, n)).state in ("learning", "steady", "unknown")
+
+
 def test_a_slow_drift_is_found_and_named() -> None:
     series = nights(5, 90)
     drifting = changed(series, 0, 30, 0.001 * np.arange(1, 61))
