@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -17,7 +18,7 @@ import modetune
 from modetune.adapters.test_files.measurements import write_test
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement
 from modetune.core.modes import Floats
-from modetune.core.monitoring.past_runs import read_history
+from modetune.core.monitoring.past_runs import read_history, utc
 from tests.flows.studies.test_history import FREQUENCY, SHAPE, SIX, Structure, six_masses
 
 #: Seconds since 1970 at which the first of the nights was measured.
@@ -163,6 +164,15 @@ def test_a_file_that_still_grows_waits(lab: Lab) -> None:
     assert (code, found["tests"], found["arriving"]) == (0, [], ["lab/night_01.csv"])
     code, found = lab.received("--settle", "0")
     assert (code, len(found["tests"])) == (0, 1)
+
+
+def test_a_file_from_a_clock_ahead_does_not_wait_for_ever(lab: Lab) -> None:
+    file = lab.add(1)
+    os.utime(file, (FIRST + 1e9, FIRST + 1e9))
+    assert lab.received()[1]["arriving"] == ["lab/night_01.csv"]  # it came just now
+    code, found = lab.received("--settle", "0")
+    assert (code, len(found["tests"])) == (0, 1)
+    assert found["tests"][0]["at"] <= utc(time.time())
 
 
 def test_an_update_that_was_killed_is_repeated(lab: Lab) -> None:
