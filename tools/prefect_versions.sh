@@ -17,5 +17,5 @@ for wanted in "==$oldest" "<4"; do
     fi
     echo "prefect $found:"
     PYTHONPATH="$place${PYTHONPATH:+:$PYTHONPATH}" "$bin/python" -m pytest --quiet -p no:xdist \
-        tests/flows/server/test_flows.py
+        tests/flows/server/test_flows.py tests/flows/jobs/test_server_database.py
 done

@@ -161,7 +161,10 @@ class Store:
 
         Raises StorageUnavailable where the folder may not be read.
         """
-        return self._checked(key, _read_entry) or self._earlier(key)
+        # Another process may upgrade or write the entry between the first look and the second.
+        return (
+            self._checked(key, _read_entry) or self._earlier(key) or self._checked(key, _read_entry)
+        )
 
     def check(self, key: str) -> bool:
         """Whether the entry of this key is, bit for bit, what was written; a damaged one is set
@@ -181,6 +184,16 @@ class Store:
         Raises FileNotFoundError, StoreDamaged, StorageUnavailable.
         """
         path = self.path(key, number)
+        if number not in EARLIER:
+            raise StoreDamaged(
+                f"{path} has format {number}, and this version of modetune reads results of format "
+                f"{' and '.join(map(str, (*EARLIER, FORMAT)))}; "
+                + (
+                    "use the later version"
+                    if number > FORMAT
+                    else "what is needed is computed again"
+                )
+            )
         try:
             data = path.read_bytes()
         except FileNotFoundError:

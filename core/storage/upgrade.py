@@ -126,7 +126,7 @@ def _upgrade_record(path: Path, kind: RecordFile[Any], dry_run: bool) -> None:
             raise StoreDamaged(f"{path} was written and is damaged; check the disk")
         held.enter_context(lock.held(_waiting(f"a run is in progress in {folder}")))
         if new:
-            lock.remove()
+            held.callback(lock.remove)  # after the record is replaced, before the lock is free
         now = path.stat()
         if (now.st_ino, now.st_mtime_ns) != (before.st_ino, before.st_mtime_ns):
             raise CampaignRunning(f"{path} has been rewritten by another process; try again")
@@ -143,11 +143,6 @@ def _upgrade_entry(path: Path, number: int, dry_run: bool) -> None:
     name, store = ENTRY.fullmatch(path.name), Store(path.parent.parent)
     if name is None or store.path(name["key"], number).name != path.name:
         raise CampaignError(f"{path} is a store entry under another name; its key is its name")
-    if number > FORMAT:
-        raise CampaignError(
-            f"{path} has format {number}, of a later version of modetune; this one reads up to "
-            f"{FORMAT}: use the later version"
-        )
     key = name["key"]
     store.read_earlier(key, number)
     if not dry_run:

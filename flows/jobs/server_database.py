@@ -45,10 +45,12 @@ PATIENCE_S = 60.0
 #: Bytes of free pages, and their share of the file, from which it is compacted.
 LEAST_FREE, FREE_SHARE = 1 << 22, 0.25
 
-#: Finished runs, as Prefect selects them, and what belongs to them.
-OLD_RUNS = """
-    SELECT id FROM flow_run WHERE parent_task_run_id IS NULL AND end_time < :before
-    AND state_type IN ('COMPLETED', 'FAILED', 'CRASHED', 'CANCELLED')
+#: Finished runs, as Prefect selects them, those inside them, and what belongs to them.
+FINISHED = "end_time < :before AND state_type IN ('COMPLETED', 'FAILED', 'CRASHED', 'CANCELLED')"
+OUTER = f"SELECT id FROM flow_run WHERE parent_task_run_id IS NULL AND {FINISHED}"
+OLD_RUNS = f"""
+    SELECT id FROM flow_run WHERE {FINISHED} AND (parent_task_run_id IS NULL OR
+    parent_task_run_id IN (SELECT id FROM task_run WHERE flow_run_id IN ({OUTER})))
 """
 OLD_TASKS = f"SELECT id FROM task_run WHERE flow_run_id IN ({OLD_RUNS})"
 OLD_EVENTS = """

@@ -123,6 +123,9 @@ def test_what_cannot_be_upgraded_stays_as_it_is(tmp_path: Path) -> None:
     later.write_bytes(b"modetune campaign record 99\n")
     named = entry.with_name("other.h5")
     named.write_bytes(entry.read_bytes())
+    formats = {number: Store(place / "store").path(FIRST, number) for number in (2, 9)}
+    for number, path in formats.items():
+        path.write_bytes(f"modetune store entry {number}\n".encode())
     entry.write_bytes(entry.read_bytes()[:-1])
     unknown = place / "unknown.h5"
     unknown.write_bytes(b"modetune weather record 1\n")
@@ -131,13 +134,17 @@ def test_what_cannot_be_upgraded_stays_as_it_is(tmp_path: Path) -> None:
     code, found = upgraded(place)
     assert code == 2
     reasons = {Path(str(item["path"])): str(item["reason"]) for item in found["left"]}
-    assert {place / path for path in reasons} == {place / RECORD, entry, later, named, unknown}
+    assert {place / path for path in reasons} == {
+        place / RECORD, entry, later, named, unknown, *formats.values(),
+    }  # fmt: skip
     for path, said in (
         (RECORD, r"record 4, .* reads format 7 to \d+; use the earlier version that wrote it"),
         (later.relative_to(place), "use the later version that wrote it"),
         (entry.relative_to(place), "checksum"),
         (named.relative_to(place), "under another name"),
         (unknown.relative_to(place), "does not know"),
+        (formats[2].relative_to(place), "of format 3 and 4; what is needed is computed again"),
+        (formats[9].relative_to(place), "of format 3 and 4; use the later version"),
     ):
         assert re.search(said, reasons[path])
     after = contents(place)

@@ -148,9 +148,7 @@ def test_a_good_entry_written_meanwhile_is_not_set_aside(
         honest(self, place, inode)
 
     monkeypatch.setattr(Store, "_set_aside", after_another_wrote)
-    assert store.get(key_of(1)) is None  # what was read was damaged
-    monkeypatch.undo()
-    entry = store.get(key_of(1))
+    entry = store.get(key_of(1))  # damaged at first, and there when it looks again
     assert entry is not None
     assert is_right(entry, 1)
 

@@ -25,9 +25,9 @@ from tests.flows.conftest import api_of
 OLD = timedelta(days=40)
 
 
-def made_run(client: ServerClient, flow: str, state: str) -> str:
-    """Make a run in a state, with a log line and an artifact."""
-    content = {"flow_id": flow, "state": {"type": state}}
+def made_run(client: ServerClient, flow: str, state: str, inside: str | None = None) -> str:
+    """Make a run in a state, with a log line, an artifact and a task; inside: a task of another."""
+    content = {"flow_id": flow, "state": {"type": state}, "parent_task_run_id": inside}
     run = str(client.post("/flow_runs/", content)["id"])
     line = {"name": "a", "level": 20, "message": "b", "flow_run_id": run,
             "timestamp": datetime.now(UTC).isoformat()}  # fmt: skip
@@ -63,6 +63,9 @@ def test_finished_runs_of_long_ago_go_with_all_that_is_theirs(server_base: Path)
     flow = str(client.post("/flows/", {"name": "of years"})["id"])
     deployment = str(client.post("/deployments/", {"name": "nightly", "flow_id": flow})["id"])
     old = [made_run(client, flow, state) for state in ("COMPLETED", "FAILED", "CRASHED")]
+    # A fleet's runs are inside another one.
+    (task,) = client.post("/task_runs/filter", {"flow_runs": {"id": {"any_": old[:1]}}})
+    old.append(made_run(client, flow, "COMPLETED", task["id"]))
     busy = [made_run(client, flow, state) for state in ("RUNNING", "PENDING", "SCHEDULED")]
     fresh = [made_run(client, flow, "COMPLETED")]
     age(database, old + busy)
@@ -82,7 +85,7 @@ def test_finished_runs_of_long_ago_go_with_all_that_is_theirs(server_base: Path)
 
     would = prune("--dry-run")["removed"]
     assert kept(database, "flow_run", old) == set(old)
-    counts = {"flow_run": 3, "flow_run_state": 3, "task_run": 3, "log": 3, "artifact": 3}
+    counts = dict.fromkeys(("flow_run", "flow_run_state", "task_run", "log", "artifact"), 4)
     assert {name: would[name] for name in counts} == counts
     removed = prune()["removed"]
     assert {name: removed[name] for name in counts} == counts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -89,6 +90,7 @@ def test_a_run_whose_machine_is_gone_has_crashed_within_a_minute(site: Site) -> 
     second = site.worker()
     found, seconds = site.wait(lost, lambda run: run["state_type"] in ENDED)
     assert (found["state_type"], seconds < 60.0) == ("CRASHED", True)
+    assert f"its process ({socket.gethostname()}:" in found["state"]["message"]
     check_next(site)
     stop(second)
 
