@@ -26,7 +26,7 @@ from modetune.core.updating.job_results import ModalResult
 from tests.command_line import run_command
 
 HERE = Path(__file__).parent
-RECORDS = {"format_8": 8, "format_9": 9, "format_10": 10, "format_11": 11}
+RECORDS = {"format_8": 8, "format_9": 9, "format_10": 10, "format_11": 11, "format_12": 12}
 #: A record of a golden store, and an entry of `store_3`.
 RECORD = Path("runs") / "two-mass" / "campaign.h5"
 FIRST = "4133dfdca44539a073167c4085705085ddbeada1adf8072d806b9f1b78a12c24"
@@ -75,7 +75,7 @@ def test_a_golden_store_is_read_upgraded_and_read_again(name: str, tmp_path: Pat
     assert upgraded(place)[1]["upgraded"] == []
 
 
-@pytest.mark.parametrize("name", ["format_9", "format_10", "format_11"])
+@pytest.mark.parametrize("name", ["format_9", "format_10", "format_11", "format_12"])
 def test_the_store_has_all_jobs_of_an_update_of_before(name: str, tmp_path: Path) -> None:
     place = unpacked(name, tmp_path)
     if read_record(place / RECORD).solver_version != scipy.__version__:
