@@ -16,6 +16,7 @@ EXTRAS = {
     **dict.fromkeys(("pyvista", "vtkmodules", "ccx2paraview"), "pictures"),
     **dict.fromkeys(("SALib", "emcee"), "studies"),
     "pyoma2": "oma",
+    "xarray": "arrays",
     "prefect_dask": "cluster",
 }
 

@@ -189,6 +189,58 @@ def test_results_have_frames_figures_and_short_reprs(
         assert plot().axes
 
 
+def test_shapes_and_sensitivities_are_objects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frequencies are homogeneous in the springs, of degree one half: each row sums to that."""
+    monkeypatch.chdir(tmp_path)
+    given = arrays()
+    assert isinstance(given["model"], dict)
+    assert isinstance(given["parameters"], list)
+    third = chain([0.0, 0.0, 1000.0])[1][2]
+    given["model"]["parts"]["k3"] = {"stiffness": third}
+    given["parameters"].append({"name": "k3", "quantity": "matrix_factor", "part": "k3"})
+    run = modetune.update(given)
+    shapes = run.shapes
+    assert repr(shapes).startswith("ModeShapes(chain: 3 modes at 3 degrees of freedom, MAC at ")
+    assert np.linalg.norm(shapes.test, axis=0) == pytest.approx(np.ones(3), rel=1e-12)
+    assert shapes.updated == pytest.approx(shapes.test, abs=1e-3)  # of e1, 1e-6 in frequency
+    assert len(shapes.plot().axes) == 3
+    assert [axes.get_title() for axes in shapes.plot(2, "1").axes] == ["mode 2", "mode 1"]
+    with pytest.raises(modetune.ModetuneError, match=r"no paired mode 4 .*there are: 1, 2, 3"):
+        shapes.plot(4)
+    assert shapes.frame[("2", "test")].tolist() == shapes.test[:, 1].tolist()
+    table = run.sensitivities
+    assert list(table.columns) == ["k1", "k2", "k3"]
+    # by stored matrices, exact at the point where they were computed
+    assert table.sum(axis=1).tolist() == pytest.approx([0.5] * 3, rel=1e-6)
+
+
+def test_a_run_is_an_xarray_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xarray", reason="the extra `arrays` is not installed")
+    monkeypatch.chdir(tmp_path)
+    run = modetune.update(arrays())
+    found = run.to_xarray()
+    assert dict(found.sizes) == {"mode": 3, "model": 3, "dof": 3, "parameter": 2}
+    assert found["shape"].sel(model="test", mode="2").values.tolist() == (
+        run.shapes.test[:, 1].tolist()
+    )
+    at = found["sensitivity"].sel(mode="1", parameter="k2")
+    assert float(at) == run.sensitivities.loc["1", "k2"]
+    hz = found["frequency_hz"].sel(model="updated")
+    assert hz.values.tolist() == run.modes["updated_hz"].tolist()
+
+
+def test_xarray_that_is_missing_is_named_with_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = modetune.update(arrays())
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(modetune.ModetuneError, match=r"pip install 'modetune\[arrays\]'"):
+        run.to_xarray()
+
+
 def test_starts_of_the_campaign_are_honoured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from modetune.core.modes import COMPONENTS, Floats, common_dofs
+from modetune.core.modes import Floats
 from modetune.core.storage.campaign_record import CampaignRecord
 from modetune.core.updating.trust import Trust
 from modetune.flows.report.chart import (
@@ -35,10 +35,10 @@ from modetune.flows.report.comparison import (
     fresh_matrices,
     mac_table,
     residual_norm,
-    scaled_test,
     sensor_agreement,
 )
 from modetune.flows.report.field_tables import FieldMap, brief_record, field_map
+from modetune.flows.report.mode_shapes import mode_shapes
 from modetune.flows.report.mode_tables import mode_labels, mode_rows
 from modetune.flows.report.response_functions import UNITS, ResponseCurve, response_pairs
 
@@ -78,7 +78,7 @@ def campaign_charts(record: CampaignRecord) -> Iterator[tuple[str, Chart]]:
     found = sensor_agreement(record)
     if found is not None and record.test.has_shapes:
         yield "comac", comac(title, found)
-        yield "sensor_shapes", sensor_shapes(record)
+        yield "sensor_shapes", mode_shapes(record).chart()
     curve = record.trust and record.trust.curve
     if record.trust is not None and curve and np.ptp(np.log(curve.misfits)) > LEAST_BEND:
         yield "l_curve", l_curve(record.trust)
@@ -279,30 +279,6 @@ def comac(title: str, found: SensorAgreement) -> Chart:
     panel = Panel(tuple(items), Axis(names=found.labels, slant=90), y)
     size = max(6.4, min(0.14 * len(found.labels), 16.0)), 3.4
     return Chart(title, "COMAC of each sensor", (panel,), size=size)
-
-
-def sensor_shapes(record: CampaignRecord) -> Chart:
-    """Return shapes of test and model over the sensors; the test's have unit length."""
-    first, last = record.iterations[0], record.best
-    test, before = scaled_test(record, first)
-    after = scaled_test(record, last)[1]
-    rows, _ = common_dofs(record.test.modes, first.computed)
-    modes = record.test.modes
-    labels = tuple(f"{modes.nodes[row]}.{COMPONENTS[modes.components[row] - 1]}" for row in rows)
-    panels = tuple(
-        Panel(
-            tuple(
-                Curve(name, positions(labels), shapes[:, mode], colour, width=width)
-                for name, shapes, colour, width in (
-                    ("test", test, TEST, 2.6), ("before", before, BEFORE, 1.5),
-                    ("after", after, AFTER, 1.5),
-                )
-            ),
-            Axis(names=labels, slant=90), title=f"mode {row.label}",
-        )
-        for mode, row in enumerate(mode_rows(record))
-    )  # fmt: skip
-    return Chart(record.name, "shapes over the sensors", panels, min(3, len(panels)), (3.6, 2.4))
 
 
 def l_curve(trust: Trust) -> Chart:

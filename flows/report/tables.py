@@ -192,11 +192,21 @@ def artifact_rows(table: Table) -> list[Json]:
 
 
 def frame(rows: Sequence[Any], kind: type) -> pd.DataFrame:
-    """Return rows of a class as a data frame with one column per field."""
+    """Return rows of a class as a data frame with one column per field.
+
+    Columns of numbers have the type of their field whatever the rows hold: None becomes NaN.
+    """
     import pandas as pd  # takes half a second, and a campaign needs none
 
     names = [item.name for item in dataclasses.fields(kind)]
-    return pd.DataFrame([[getattr(row, name) for name in names] for row in rows], columns=names)
+    made = pd.DataFrame([[getattr(row, name) for name in names] for row in rows], columns=names)
+    hints = get_type_hints(kind)
+    types = {name: _TYPES[hints[name]] for name in names if hints[name] in _TYPES}
+    return made.astype(types)
+
+
+#: Types of columns of numbers by those of their fields.
+_TYPES: dict[Any, str] = {int: "int64", bool: "bool", float: "float64", float | None: "float64"}
 
 
 def json_of(value: Any) -> Json:

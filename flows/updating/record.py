@@ -40,10 +40,12 @@ from modetune.core.surface import Surface
 from modetune.core.updating.verdict import FailOn, TrustVerdict
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
-from modetune.flows.report.comparison import mac_table
+from modetune.flows.extras import named_extras
+from modetune.flows.report.comparison import fresh_matrices, mac_table
 from modetune.flows.report.field_tables import fields_json
 from modetune.flows.report.form_verdict import verdict_summary
 from modetune.flows.report.headline import first_line
+from modetune.flows.report.mode_shapes import ModeShapes, mode_shapes
 from modetune.flows.report.mode_tables import (
     ModeRow,
     held_out_rows,
@@ -67,6 +69,7 @@ from modetune.flows.updating.forecast import Forecast
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.figure import Figure
 
 #: Packages whose arithmetic a campaign's numbers depend on, in addition to the solver.
@@ -324,6 +327,51 @@ class CampaignRun:
         table = mac_table(record, last).T
         rows = mode_labels(record)
         return pd.DataFrame(table, rows[: len(table)], range(1, table.shape[1] + 1))
+
+    @property
+    def shapes(self) -> ModeShapes:
+        """Shapes of test and model at the sensors. Raises ModesError without measured shapes."""
+        return mode_shapes(self.record)
+
+    @property
+    def sensitivities(self) -> pd.DataFrame:
+        """Newest (df/f) / (dp/p) by mode and parameter. Raises ModesError where none were
+        computed."""
+        import pandas as pd
+
+        matrices = fresh_matrices(self.record)
+        if not matrices:
+            raise ModesError(f"{self.record.name}: no sensitivities were computed")
+        rows = pd.Index([row.label for row in mode_rows(self.record)], name="mode")
+        columns = pd.Index(self.record.parameters.names, name="parameter")
+        return pd.DataFrame(matrices[-1][1], rows, columns)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return frequencies, MAC, shapes and sensitivities with named axes.
+
+        Axes are mode, model (test, initial, updated), dof and parameter. What the record lacks is
+        left out. Raises ModetuneError without xarray.
+        """
+        with named_extras():
+            import xarray as xr
+
+        frequencies = self.modes[["test_hz", "initial_hz", "updated_hz"]].to_numpy()
+        models, parts = ["test", "initial", "updated"], {}
+        parts["frequency_hz"] = xr.DataArray(frequencies, dims=["mode", "model"])
+        coordinates = {"mode": [row.label for row in mode_rows(self.record)], "model": models}
+        if self.record.test.has_shapes:
+            shapes = self.shapes
+            each = np.stack([shapes.test, shapes.initial, shapes.updated])
+            parts["shape"] = xr.DataArray(each, dims=["model", "dof", "mode"])
+            macs = np.stack([np.ones(len(shapes.modes)), shapes.mac_initial, shapes.mac_updated])
+            parts["mac"] = xr.DataArray(macs, dims=["model", "mode"])
+            coordinates["dof"] = list(shapes.dofs)
+        if fresh_matrices(self.record):
+            parts["sensitivity"] = xr.DataArray(
+                self.sensitivities.to_numpy(), dims=["mode", "parameter"]
+            )
+            coordinates["parameter"] = list(self.record.parameters.names)
+        return xr.Dataset(parts, coordinates, {"name": self.record.name})
 
     @property
     def summary(self) -> dict[str, Any]:

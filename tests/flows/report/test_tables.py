@@ -122,3 +122,19 @@ def test_a_result_is_told_by_its_attributes_and_by_names_of_its_own() -> None:
         "key": 1,
         "status": "done",
     }
+
+
+@dataclass
+class Measured:
+    """A row with a number that may be unknown."""
+
+    name: str
+    order: int
+    error: Annotated[float | None, Column("error")]
+    used: bool
+
+
+@pytest.mark.parametrize("rows", [[], [Measured("a", 1, None, True)], [Measured("a", 1, 2, True)]])
+def test_columns_of_a_frame_have_the_types_of_their_fields(rows: list[Measured]) -> None:
+    types = frame(rows, Measured).dtypes.astype(str)
+    assert types[["order", "error", "used"]].tolist() == ["int64", "float64", "bool"]
