@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -23,6 +24,20 @@ from tests.command_line import run_command
 from tests.flows.conftest import api_of
 
 OLD = timedelta(days=40)
+#: The command, killed after it has removed runs and before it removes what was theirs.
+KILLED = f"""
+import os, sys
+from modetune.flows.cli.main import main
+from modetune.flows.jobs import server_database
+honest = server_database._pruned
+def pruned(*given):
+    from prefect.server.services import db_vacuum
+    db_vacuum._batch_delete = lambda *_: os.kill(os.getpid(), {signal.SIGKILL:d})
+    return honest(*given)
+server_database._pruned = pruned
+sys.argv[0] = "modetune"
+main()
+"""
 
 
 def made_run(client: ServerClient, flow: str, state: str, inside: str | None = None) -> str:
@@ -71,15 +86,17 @@ def test_finished_runs_of_long_ago_go_with_all_that_is_theirs(server_base: Path)
     age(database, old + busy)
     environment = {name: "" for name in FOREIGN} | {HOME_VARIABLE: str(server_base)}
 
-    def prune(*options: str) -> dict[str, Any]:
-        command = [sys.executable, "-m", "modetune", "server", "prune", "--older", "30d", "--json"]
-        said = subprocess.run(
-            [*command, *options],
+    def run(program: tuple[str, str], *options: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *program, "server", "prune", "--older", "30d", "--json", *options],
             env={**os.environ, **environment},
             capture_output=True,
             text=True,
             check=False,
         )
+
+    def prune(*options: str) -> dict[str, Any]:
+        said = run(("-m", "modetune"), *options)
         assert said.returncode == 0, said.stderr
         return dict(json.loads(said.stdout))
 
@@ -94,8 +111,16 @@ def test_finished_runs_of_long_ago_go_with_all_that_is_theirs(server_base: Path)
     newest = client.post("/artifacts/latest/filter", {"artifacts": {"key": {"any_": ["a"]}}})
     assert [item["flow_run_id"] for item in newest] == fresh
     assert client.get(f"/deployments/{deployment}")["name"] == "nightly"
-    for run in busy:
-        client.post(f"/flow_runs/{run}/set_state", {"state": {"type": "CANCELLED"}, "force": True})
+    lost = [made_run(client, flow, "COMPLETED")]
+    age(database, lost)
+    assert run(("-c", KILLED)).returncode == -signal.SIGKILL
+    assert kept(database, "flow_run", lost) == set()
+    assert kept(database, "log", lost) == set(lost)
+    prune()
+    for table in ("log", "artifact"):
+        assert kept(database, table, lost) == set()
+    for one in busy:
+        client.post(f"/flow_runs/{one}/set_state", {"state": {"type": "CANCELLED"}, "force": True})
 
 
 @pytest.mark.parametrize(
