@@ -20,8 +20,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import scipy
 from scipy.linalg import eigh
-from scipy.optimize import minimize_scalar
 from scipy.special import betainc
 
 from modetune.core.modes import Floats, Integers
@@ -143,7 +143,7 @@ def _best(
         values = [left(size) for size in grid]
         start = int(np.argmin(values))
         low, high = grid[max(start - 1, 0)], grid[min(start + 1, grid.size - 1)]
-        fit = minimize_scalar(left, bounds=(low, high), method="bounded")
+        fit = scipy.optimize.minimize_scalar(left, bounds=(low, high), method="bounded")
         if found is None or fit.fun < found[2]:
             found = place, float(np.sign(first[place]) * np.exp(fit.x)), float(fit.fun)
     return found
