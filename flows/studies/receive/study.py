@@ -165,10 +165,9 @@ def _judged(
 def _section(options: ReceiveOptions) -> TestSection:
     from modetune.adapters.yaml_file import read_yaml
     from modetune.flows.campaign.campaign import campaign_form
-    from modetune.flows.campaign.schema import ModelFile
 
     source = read_yaml(options.campaign_file, "a campaign")
-    return campaign_form(source, options.settings or [], ModelFile).test
+    return campaign_form(source, options.settings or []).test
 
 
 def _newest_modes(

@@ -97,6 +97,24 @@ def test_modes_in_any_order_get_the_campaigns_numbers(lab: Lab) -> None:
     assert [run.environment["temperature_C"] for run in runs] == [16.0, 17.0]
 
 
+def test_what_the_campaign_says_of_its_test_holds_for_all(lab: Lab) -> None:
+    """The lab mounts sensor 3 upside down, and one of the wanted modes is missing one night."""
+    file = lab.structure.folder / "campaign.yaml"
+    keys = "{modes: measured.csv, use: [1, 2, 3], hold_out: [5], pairs: {2: 2, 3: 3}, "
+    keys += "sensors: {reverse: [3.x]}}"
+    file.write_text(file.read_text().replace("{modes: measured.csv}", keys))
+    signs = (1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
+    lab.add(0, signs=signs).replace(lab.structure.folder / "measured.csv")
+    lab.add(1, signs=signs)
+    lab.add(2, order=(0, 1, 3, 4), signs=signs)
+    code, found = lab.received()
+    assert code == 0, found
+    assert [item["decision"] for item in found["tests"]] == ["accepted"] * 2
+    assert [item["missing"] for item in found["tests"]] == [[], [3, 6]]
+    runs = read_history(lab.structure.runs).runs
+    assert [run.modes for run in runs] == [("1", "2", "3"), ("1", "2")]
+
+
 def test_a_test_that_comes_late_takes_its_place_in_time(lab: Lab) -> None:
     lab.add(3, k1=0.85)
     lab.received()
