@@ -9,6 +9,7 @@ the heavy packages that they use.
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
 import json
 import logging
@@ -240,18 +241,25 @@ def main() -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None
-    except MemoryError:
-        _fail(
-            "the memory of this machine, or the limit of this process (`ulimit -v`), is too small "
-            "for this; raise the limit, or use a smaller model or fewer jobs in parallel",
-            SolverExhausted.exit_code,
-        )
-    except Exception:  # a fault of ours, saved for a report
+    except Exception as error:
+        if _lacks_memory(error):
+            _fail(
+                "the memory of this machine, or the limit of this process (`ulimit -v`), is too "
+                "small for this; raise the limit, or use a smaller model or fewer jobs in parallel",
+                SolverExhausted.exit_code,
+            )
+        # A fault of ours, saved for a report.
         with tempfile.NamedTemporaryFile(
             "w", prefix="modetune-", suffix=".log", delete=False
         ) as log:
             traceback.print_exc(file=log)
         _fail(f"this is a fault in modetune; please report it with the file {log.name}", 70)
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Return whether an error is a refused request for memory, as that of a thread's stack is."""
+    refused = isinstance(error, OSError) and error.errno == errno.ENOMEM
+    return refused or isinstance(error, MemoryError) or "can't start new thread" in str(error)
 
 
 def _fail(reason: str, code: int) -> None:

@@ -434,6 +434,8 @@ def keep(home: Path, port: int) -> None:
         "PREFECT_HOME": str(home / "prefect"),
         # Prefect copies its pages there; the default, its own package, works for one user only.
         "PREFECT_UI_STATIC_DIRECTORY": str(home / "pages"),
+        # SQLite's own choice is /var/tmp.
+        "SQLITE_TMPDIR": os.environ.get("SQLITE_TMPDIR", tempfile.gettempdir()),
         "PREFECT_SERVER_API_PORT": str(port),
         "PREFECT_SERVER_API_AUTH_STRING": read_login(home),
         "PREFECT_SERVER_API_CSRF_PROTECTION_ENABLED": "true",

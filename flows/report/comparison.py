@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,10 @@ CORRELATED = 0.95
 DOUBTFUL_MAC, DOUBTFUL_ERROR = 0.8, 0.2
 #: A larger decrease of MAC is remarked on.
 FALLEN_MAC = 0.05
+#: More remarks of one kind are one sentence.
+MOST_ALIKE = 3
+#: A remark: what many of its kind have in common, the sentence, and its part of a common one.
+Remark = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,55 +140,101 @@ def model_scales(record: CampaignRecord, item: IterationRecord) -> Floats:
 
 
 def remarks(record: CampaignRecord) -> tuple[str, ...]:
-    """Return what an engineer should check before using the model, one sentence each."""
-    found = [*_mode_remarks(record), *_sensor_remarks(record)]
+    """Return what an engineer should check before using the model, one sentence each.
+
+    More than three of one kind are one sentence.
+    """
+    found = [*_grouped(_mode_remarks(record)), *_sensor_remarks(record)]
     at_bounds = record.parameters.at_bounds(record.updated)
     if at_bounds:
         found.append(
             f"On a bound: {', '.join(at_bounds)}. A better fit lies outside the bounds; check "
             "whether the bound or another part of the model is wrong."
         )
+    return (*found, *_grouped(_parameter_remarks(record)))
+
+
+def _grouped(found: Iterable[Remark]) -> list[str]:
+    """Return the sentences of remarks, with one for all of a kind if there are many."""
+    kinds: dict[str, list[Remark]] = {}
+    for remark in found:
+        kinds.setdefault(remark[0], []).append(remark)
+    texts = []
+    for plural, of_kind in kinds.items():
+        if len(of_kind) > MOST_ALIKE:
+            texts.append(f"{len(of_kind)} {plural}: {', '.join(short for *_, short in of_kind)}.")
+        else:
+            texts += [sentence for _, sentence, _ in of_kind]
+    return texts
+
+
+def _parameter_remarks(record: CampaignRecord) -> Iterator[Remark]:
     for row in parameter_rows(record):
         error = row.value_error or 0.0
         if error > DOUBTFUL_ERROR * abs(row.updated_value) > 0.0:
-            share = error / abs(row.updated_value)
-            found.append(
-                f"{row.name} is uncertain by ±{100 * share:.0f} %: these modes hardly depend on it."
+            text = f"±{100 * error / abs(row.updated_value):.0f} %"
+            yield (
+                "parameters are uncertain, because these modes hardly depend on them",
+                f"{row.name} is uncertain by {text}: these modes hardly depend on it.",
+                f"{row.name} ({text})",
             )
-    found += [
-        f"{one} and {other} are correlated ({value:+.2f}): the test determines their combined "
-        "effect, but not each value."
-        for one, other, value in correlated_pairs(record)
-    ]
-    return tuple(found)
+    for one, other, value in correlated_pairs(record):
+        yield (
+            "pairs of parameters are correlated, and the test determines their combined effect, "
+            "but not each value",
+            f"{one} and {other} are correlated ({value:+.2f}): the test determines their combined "
+            "effect, but not each value.",
+            f"{one} and {other} ({value:+.2f})",
+        )
 
 
-def _mode_remarks(record: CampaignRecord) -> list[str]:
-    found = []
+def _mode_remarks(record: CampaignRecord) -> list[Remark]:
+    found: list[Remark] = []
     for row in mode_rows(record):
+        error, before = (f"{100 * e:+.2f} %" for e in (row.error_updated, row.error_initial))
         if abs(row.error_updated) > record.e1_frequency:
+            limit = f"above the tolerance of {100 * record.e1_frequency:g} %"
             found.append(
-                f"Mode {row.label} has a frequency error of {100 * row.error_updated:+.2f} %, "
-                f"above the tolerance of {100 * record.e1_frequency:g} %."
+                (
+                    f"modes have a frequency error {limit}",
+                    f"Mode {row.label} has a frequency error of {error}, {limit}.",
+                    f"{row.label} ({error})",
+                )
             )
         elif abs(row.error_updated) > abs(row.error_initial) + 1e-3:
             found.append(
-                f"The frequency error of mode {row.label} grew from "
-                f"{100 * row.error_initial:+.2f} % to {100 * row.error_updated:+.2f} %."
+                (
+                    "modes have a larger frequency error than before",
+                    f"The frequency error of mode {row.label} grew from {before} to {error}.",
+                    f"{row.label} ({error}, before {before})",
+                )
             )
         if row.mac_updated < DOUBTFUL_MAC:
             found.append(
-                f"Mode {row.label} has a MAC of only {row.mac_updated:.2f}: {row.pairing}."
+                (
+                    f"modes have a MAC below {DOUBTFUL_MAC:g}",
+                    f"Mode {row.label} has a MAC of only {row.mac_updated:.2f}: {row.pairing}.",
+                    f"{row.label} ({row.mac_updated:.2f})",
+                )
             )
         if row.mac_updated < row.mac_initial - FALLEN_MAC:
+            fell = f"{row.mac_initial:.3f} to {row.mac_updated:.3f}"
             found.append(
-                f"The MAC of mode {row.label} fell from {row.mac_initial:.3f} to "
-                f"{row.mac_updated:.3f}."
+                (
+                    "modes have a lower MAC than before",
+                    f"The MAC of mode {row.label} fell from {fell}.",
+                    f"{row.label} ({fell})",
+                )
             )
         if row.elastic_mode_initial != row.elastic_mode:
+            now, then = row.elastic_mode, row.elastic_mode_initial
             found.append(
-                f"Test mode {row.label} is now paired with elastic mode {row.elastic_mode}, before "
-                f"updating with mode {row.elastic_mode_initial}."
+                (
+                    "test modes are paired with other elastic modes than before",
+                    f"Test mode {row.label} is now paired with elastic mode {now}, before "
+                    f"updating with mode {then}.",
+                    f"{row.label} (now {now}, before {then})",
+                )
             )
     return found
 

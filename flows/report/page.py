@@ -143,7 +143,13 @@ def _templates() -> Environment:
     )
     made.filters["signed"] = signed
     made.filters["prose"] = prose
+    made.filters["breakable"] = breakable
     return made
+
+
+def breakable(name: str) -> Markup:
+    """Return a name that a narrow column breaks behind its underscores, points and hyphens."""
+    return Markup(re.sub(r"([_.-])", r"\1<wbr>", str(escape(name))))
 
 
 def prose(text: str) -> Markup:

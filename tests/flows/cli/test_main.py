@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import signal
@@ -65,11 +66,19 @@ def test_the_warning_leaves_the_json_object_alone(tmp_path: Path) -> None:
     assert "`modetune files inspect`" in ended.stderr
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        RuntimeError("can't start new thread"),  # what Python says of a stack without room
+    ],
+)
 def test_too_little_memory_is_told_in_a_sentence(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    error: Exception, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def exhausted(*words: str) -> typer.Typer:
-        raise MemoryError
+        raise error
 
     monkeypatch.setattr(main_module, "command_line", exhausted)
     ended = run_command(tmp_path, "check", "campaign.yaml")

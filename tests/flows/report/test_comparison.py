@@ -10,6 +10,7 @@ import pytest
 from modetune.core.correlation.correlation import Shapes
 from modetune.core.modes import common_dofs, mode_set
 from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.flows.report import comparison
 from modetune.flows.report.comparison import (
     fresh_matrices,
     mac_table,
@@ -84,6 +85,19 @@ def test_what_is_in_doubt_is_remarked(record: CampaignRecord) -> None:
 def test_a_mode_outside_the_tolerance_is_remarked(record: CampaignRecord) -> None:
     said = " ".join(remarks(replace(record, e1_frequency=1e-4)))
     assert "Mode 1 has a frequency error of +0.10 %, above the tolerance of 0.01 %." in said
+
+
+def test_many_remarks_of_one_kind_are_one_sentence(
+    record: CampaignRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strict = replace(record, e1_frequency=1e-4)
+    kind = "frequency error"
+    apart = [remark for remark in remarks(strict) if kind in remark]
+    assert len(apart) == 3
+    monkeypatch.setattr(comparison, "MOST_ALIKE", 2)
+    (joined,) = (remark for remark in remarks(strict) if kind in remark)
+    assert joined.startswith("3 modes have a frequency error above the tolerance of 0.01 %: ")
+    assert "1 (+0.10 %)" in joined
 
 
 def test_model_and_test_move_together(record: CampaignRecord) -> None:
