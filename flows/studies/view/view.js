@@ -67,7 +67,7 @@
     }
     setTimeout(look, 1000);
   }
-  const reload = () => { frameMark = mark; by("report").src = "/report?" + encodeURIComponent(mark) + "#shapes"; };
+  const reload = () => { frameMark = mark; by("shapes").classList.add("waiting"); by("report").src = "/report?" + encodeURIComponent(mark) + "#shapes"; };
 
   // Show a change as a difference of the file, and write it after confirmation.
   let shown = null;
@@ -259,6 +259,7 @@
   }
   document.querySelectorAll("[data-tab]").forEach((button) => button.addEventListener("click", () => open(button.dataset.tab)));
   by("reload").addEventListener("click", reload);
+  by("report").addEventListener("load", () => by("shapes").classList.remove("waiting"));
   by("solve").addEventListener("click", () => showPairs(true));
   by("identify").addEventListener("click", showPoles);
   by("pairs-change").addEventListener("click", () => propose(() => ({ pairs: Object.fromEntries(pairs || []) })));

@@ -256,6 +256,19 @@ def test_poles_picked_become_the_modes_of_the_campaign(page: Any, viewed: Viewed
     assert "# the fifth is weak" in viewed.text()
 
 
+def test_a_section_says_what_it_waits_for(page: Any, viewed: Viewed) -> None:
+    held: list[Any] = []
+    page.route("**/sensors?*", lambda route: held.append(route))
+    with page.expect_request("**/sensors?*"):
+        page.click("[data-tab=sensors]")
+    page.wait_for_selector("body[aria-busy]")
+    shown = "getComputedStyle(document.getElementById('sensors'), '::before').content"
+    assert "Reading the campaign, its model and its test" in page.evaluate(shown)
+    held[0].continue_()
+    page.wait_for_selector("body:not([aria-busy])")
+    assert page.evaluate(shown) == "none"
+
+
 def test_three_landmarks_lay_the_test_over_the_model(page: Any, viewed: Viewed) -> None:
     page.click("[data-tab=sensors]")
     page.locator("#landmarks th").nth(2).wait_for(state="attached")
