@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import shutil
 import subprocess
 from functools import cache
@@ -257,3 +258,35 @@ def test_secrets_are_in_no_error_either(campaign: Path) -> None:
         assert done.returncode in (2, 4), done.stderr
         assert SECRET not in done.stdout + done.stderr
     assert leaks(campaign.parent) == []
+
+
+# The threat model
+
+
+def test_every_line_of_the_threat_model_has_its_tests() -> None:
+    text = (ROOT / "SECURITY.md").read_text()
+    rows = [line for line in text.splitlines() if line.startswith("| ") and "](" in line]
+    assert len(rows) > 15
+    assert text.count("\n| ") == len(rows) + 2  # the head and the line below it
+    missing = []
+    for row in rows:
+        links = re.findall(r"\]\((\S+) \"(\w+)\"\)", row.rpartition(" | ")[2])
+        assert links, row
+        assert len(links) == row.count("]("), row
+        missing += [
+            f"{file}: {name}"
+            for file, name in links
+            if not (ROOT / file).is_file() or name not in names_of_tests(ROOT / file)
+        ]
+    assert missing == []
+
+
+@cache
+def names_of_tests(file: Path) -> set[str]:
+    """The tests of a file that run with every change."""
+    tests = [node for node in nodes(file) if isinstance(node, ast.FunctionDef)]
+    return {
+        node.name
+        for node in tests
+        if not any("nightly" in ast.unparse(item) for item in node.decorator_list)
+    }

@@ -194,6 +194,53 @@ def test_a_change_that_no_parameter_makes_good_fails_both_jobs(repository: Path)
     assert failed.returncode == 3, failed.stdout + failed.stderr
 
 
+def action_steps() -> list[tuple[str, dict[str, str]]]:
+    """The script of each step of the action after its installation, with its inputs' defaults."""
+    content: Any = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
+    given = {name: item["default"] for name, item in content["inputs"].items()}
+    found = []
+    for step in content["runs"]["steps"][2:]:
+        assert re.fullmatch(r"actions/[a-z/-]+@v\d+", step.get("uses", "actions/none@v1"))
+        if "run" in step:
+            assert step["shell"] == "bash"
+            assert "${{" not in step["run"]  # inputs reach the shell as variables alone
+            wanted = [
+                (name, re.fullmatch(r"\$\{\{ inputs\.([\w-]+) \}\}", text))
+                for name, text in step["env"].items()
+                if name != "MODETUNE_STORE"
+            ]
+            values = {name: given[match[1]] for name, match in wanted if match}
+            assert len(values) == len(wanted)
+            found.append((step["run"], values))
+    return found
+
+
+def test_the_action_passes_an_unchanged_deck_and_rejects_a_worse_one(repository: Path) -> None:
+    steps = action_steps()
+    assert len(steps) == 2
+
+    def ends(**inputs: str) -> list[int]:
+        lines = [
+            "".join(f"export {name}={shlex.quote(value)}\n" for name, value in values.items())
+            + "".join(f"export {name}={shlex.quote(value)}\n" for name, value in inputs.items())
+            + script
+            for script, values in steps
+        ]
+        return [run(repository, line).returncode for line in lines]
+
+    assert ends(STATE="initial") == [0, 0]
+    changed(repository, "m6: 0.9", "m6: 2.7")
+    assert ends(STATE="initial") == [0, 3]
+    assert (repository / "modes.xml").is_file()
+
+
+def test_the_page_names_every_input_of_the_action() -> None:
+    content: Any = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
+    table = re.findall(r"^\| `([\w-]+)` \| ([^|]*) \|", PAGE, re.MULTILINE)
+    shown = {name: default.strip("` ") for name, default in table if name in content["inputs"]}
+    assert shown == {name: item["default"] for name, item in content["inputs"].items()}
+
+
 def test_a_dry_run_names_the_job_of_a_changed_deck(repository: Path) -> None:
     changed(repository, "m2: 2.4", "m2: 3.2")
     said = typed(repository, "update campaign.yaml --dry-run")
