@@ -45,6 +45,8 @@ from modetune.flows.report.scene import Scene, scene, scene_json
 from modetune.flows.report.tables import Table, signed
 
 HERE = Path(__file__).resolve().parent
+#: Rows of a table that comes after the charts.
+LONG = 40
 #: Maximum number of singular values to print: a field has hundreds.
 MOST_NUMBERS = 40
 
@@ -290,6 +292,7 @@ def write_study(
     title has the study's name and the campaign's; doubts are the lines that come first.
     """
     kind, name = title
+    long_tables = [table for table in tables if charts and len(table.rows) > LONG]
     return written_page(
         path,
         "study.html",
@@ -297,7 +300,8 @@ def write_study(
         {name: chart for name, chart in charts.items() if isinstance(chart, Chart)},
         kind=kind,
         name=name,
-        tables=tables,
+        tables=[table for table in tables if table not in long_tables],
+        long_tables=long_tables,
         doubts=doubts,
         lines=[line for line in lines if line not in doubts],
     )
