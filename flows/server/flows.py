@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from prefect import Flow
+from prefect import Flow, tags
 from prefect.client.orchestration import get_client
 from prefect.client.schemas.objects import FlowRun, State
 from prefect.context import FlowRunContext, get_settings_context
@@ -174,7 +174,7 @@ class StudyFlow(Flow[..., Any]):
         }
         handed = _handed.get() or Handed(Unwatched())
         try:
-            with handing(handed):
+            with handing(handed), tags(TAG):  # so that it is marked as crashed when it dies
                 return super().__call__(*paths, **options)
         finally:
             _around.reset(token)

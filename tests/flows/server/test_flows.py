@@ -272,6 +272,7 @@ def test_updates_of_a_fleet_are_flows_inside_its_own(
     for name in ("fleet-north", "fleet-south"):
         assert new[name]["state_name"] == "Converged, trusted"
         assert new[name]["parent_task_run_id"] is not None
+        assert new[name]["tags"] == ["modetune"]  # so that it is marked as crashed when it dies
         assert "iteration 0 / modal" in {task["name"] for task in served.tasks(new[name]["id"])}
 
 
