@@ -10,6 +10,7 @@ import os
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -158,7 +159,7 @@ def _test(sketch: DeckSketch, tests: Sequence[Path], folder: Path, force: bool) 
         recordings = [path for path in tests if read_histories([path])[0]]
         functions, outputs = read_functions(recordings or tests, SpectraSettings())
         geometry = measurement.geometry or functions.geometry
-        identified = folder / f"{tests[0].stem}-modes.csv"
+        identified = _identified_file(folder, tests)
         keep(identified, force)
         whole = replace(functions, geometry=geometry)
         identify_test(whole, outputs, IdentificationSettings(), tests, identified)
@@ -423,12 +424,30 @@ def init_campaign(
     """
     path = out or deck.with_name("campaign.yaml")
     keep(path, force)
-    draft = _with_design(draft_campaign(deck, tests, settings, path, force))
-    try:
-        _write_checked(draft)
-    except CampaignError as error:
-        raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
+    with _removed_on_failure(_identified_file(path.parent, tests) if tests else None):
+        draft = _with_design(draft_campaign(deck, tests, settings, path, force))
+        try:
+            _write_checked(draft)
+        except CampaignError as error:
+            raise CampaignError([f"a campaign for {deck} is refused:", *error.problems]) from error
     return draft
+
+
+@contextmanager
+def _removed_on_failure(made: Path | None) -> Iterator[None]:
+    """Remove a file that is made here if anything fails, so that the command can be repeated."""
+    had = made is None or made.exists()
+    try:
+        yield
+    except BaseException:
+        if made is not None and not had:
+            made.unlink(missing_ok=True)
+        raise
+
+
+def _identified_file(folder: Path, tests: Sequence[Path]) -> Path:
+    """Return the file for modes that are identified from a test."""
+    return folder / f"{tests[0].stem}-modes.csv"
 
 
 def _with_design(draft: Draft) -> Draft:
