@@ -1,4 +1,4 @@
-// The page: draws a chart when it scrolls into view, and all charts before printing.
+// The page: draws a chart when it scrolls into view, the others when idle, all before printing.
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
@@ -24,6 +24,8 @@
 
   // COMAC at the sensors, before and after side by side.
   function comac(place) {
+    if (drawn.has(place)) return;
+    drawn.add(place);
     const { scene, comac: { foot, ...values } } = data, { unpack, rgb, colour } = modetune;
     const canvas = document.createElement("canvas"), space = modetune.space(canvas);
     if (!space) return;
@@ -61,6 +63,13 @@
   places.forEach((place) => watcher.observe(place));
   const onSensors = document.getElementById("comac-view");
   if (onSensors) seen(comac).observe(onSensors);
+  // The rest one by one while nothing else is to do, for pictures of the whole page.
+  const idle = window.requestIdleCallback || ((action) => setTimeout(action, 50));
+  const drawRest = () => {
+    const place = places.find((one) => !drawn.has(one) && one.offsetParent);
+    if (place) { draw(place); idle(drawRest); } else if (onSensors) comac(onSensors);
+  };
+  window.addEventListener("load", () => idle(drawRest));
   modetune.drawAll = () => places.forEach(draw);
   window.addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });

@@ -115,6 +115,14 @@ def opened(open_page: Open, record: CampaignRecord) -> Opened:
     return open_page(record)
 
 
+def test_charts_are_drawn_without_scrolling(opened: Opened) -> None:
+    shown = "[...document.querySelectorAll('[data-chart]')].filter((one) => one.offsetParent)"
+    opened.wait(f"{shown}.every((one) => one.querySelector('svg > g *') !== null)")
+    opened.wait("document.querySelector('#comac-view canvas') !== null")
+    assert opened.value(f"{shown}.length") > 5
+    assert opened.value("window.scrollY") == 0
+
+
 def test_all_of_it_is_drawn_without_an_error_and_without_a_request(opened: Opened) -> None:
     opened.to_shapes()
     opened.value("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
