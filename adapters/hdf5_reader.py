@@ -8,7 +8,6 @@ names.txt.
 
 from __future__ import annotations
 
-import resource
 import shutil
 import sys
 import tempfile
@@ -124,6 +123,8 @@ def _bound(name: str, datasets: Sequence[h5py.Dataset]) -> None:
 
 
 def _bound_memory(size: int) -> None:
+    import resource  # Windows has none, and no process of this program
+
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = size if hard == resource.RLIM_INFINITY else min(size, hard)
     resource.setrlimit(resource.RLIMIT_AS, (most, hard))

@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -35,6 +36,7 @@ from modetune.core.errors import (
     SolverTimeout,
     StorageUnavailable,
 )
+from modetune.core.machine import ELSEWHERE, is_linux
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 #: Standard output and errors of the program, in its folder.
@@ -214,6 +216,8 @@ atexit.register(_supervisors.end)
 
 
 def _supervisor(command: Command, folder: Path, disk_bytes: int, where: str) -> _Supervisor:
+    if not is_linux():
+        raise SolverMissing(f"{where}: {ELSEWHERE}")
     environment = {**os.environ, **dict(command.environment)}
     # Each text escapes what is not UTF-8 in it as the system's own texts do.
     what = [LOG, disk_bytes, list(command.arguments), environment, str(folder.absolute())]
@@ -285,7 +289,6 @@ def disk_full(folder: Path) -> bool:
     False for a folder that is no longer there.
     """
     try:
-        status = os.statvfs(folder)
+        return shutil.disk_usage(folder).free < FULL_DISK
     except OSError:
         return False
-    return status.f_bavail * status.f_frsize < FULL_DISK

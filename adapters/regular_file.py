@@ -14,16 +14,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from modetune.core.machine import physical_memory
+
 #: The share of the machine's memory that one file may take which is read as a whole: what is made
 #: of a deck or a table takes some ten times as much as its text.
 SHARE = 1 / 16
+#: How files are opened: without waiting for a writer, and as bytes on Windows.
+OPENED = sum(getattr(os, f"O_{name}", 0) for name in ("RDONLY", "NONBLOCK", "CLOEXEC", "BINARY"))
 #: Bytes read at once beyond the size that a file states.
 PIECE = 1 << 20
 
 
 def open_regular(path: Path) -> BinaryIO:
     """Return a regular file opened for reading. Raises OSError, also where it is something else."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # no waiting for a writer
+    handle = os.open(path, OPENED)
     kind = os.fstat(handle).st_mode
     if not stat.S_ISREG(kind):
         os.close(handle)
@@ -65,4 +69,4 @@ def read_regular(path: Path, most: int | None = None) -> bytes:
 
 def largest(share: float = SHARE) -> int:
     """Return bytes that are a share of the machine's memory."""
-    return int(share * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return int(share * physical_memory())

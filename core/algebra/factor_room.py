@@ -25,6 +25,7 @@ from modetune.core.algebra.elimination_order import elimination_order
 from modetune.core.algebra.mumps import REMEDY, FactorFiles, Mumps, is_available
 from modetune.core.algebra.pardiso import Pardiso
 from modetune.core.errors import SolverExhausted
+from modetune.core.machine import physical_memory
 from modetune.core.modes import Integers
 
 logger = logging.getLogger(__name__)
@@ -196,7 +197,7 @@ def machine_memory() -> int:
     for the system; or what a campaign gave to a program that it started."""
     if given := os.environ.get(MEMORY_VARIABLE):
         return int(given)
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    limits = [physical_memory()]
     for folder in _control_groups(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")):
         limits += [limit for name in CONTAINER if (limit := _number(folder / name))]
     return int(PLANNED * min(limits))

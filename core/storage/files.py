@@ -16,6 +16,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from modetune.core.errors import StorageUnavailable
+from modetune.core.machine import user_label
 
 #: What the system says where a folder may not be written, or is a file.
 REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
@@ -62,7 +63,7 @@ def remove_parts(folder: Path) -> None:
 def machine_user() -> str:
     """HOST-UID: names what is a machine's and a user's own where several share a folder."""
     host = re.sub(r"[^A-Za-z0-9_.-]", "-", socket.gethostname())
-    return f"{host}-{os.getuid()}"
+    return f"{host}-{user_label()}"
 
 
 def check_writable(folder: Path, remedy: str) -> None:

@@ -1,15 +1,15 @@
 """Locks of files: one holder at a time, over threads, processes and machines, freed when it dies.
 
 Where the file system has `flock`, the kernel keeps the lock and frees it with its holder. Where it
-refuses (NFS without a lock daemon, Lustre mounted without), a file FILE.lease says who holds it:
-host, process, and when that was started. Its holder touches it regularly; another process takes it
-over when the holder is gone or, on another machine, has not touched it for a minute.
+refuses (NFS without a lock daemon, Lustre mounted without) or the system has none (Windows), a file
+FILE.lease says who holds it: host, process, and when that was started. Its holder touches it
+regularly; another process takes it over when the holder is gone or, on another machine, has not
+touched it for a minute.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import io
 import os
 from collections.abc import Callable, Iterator
@@ -19,6 +19,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from modetune.core.storage.files import storage_errors
+
+try:
+    import fcntl
+
+    HAS_FLOCK = True
+except ImportError:  # Windows
+    HAS_FLOCK = False
 
 if TYPE_CHECKING:
     from filelock import SoftFileLease
@@ -45,6 +52,9 @@ class FileLock:
             except FileNotFoundError:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 handle = io.FileIO(self.path, "w")
+            if not HAS_FLOCK:
+                handle.close()
+                return self._take_lease()
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:

@@ -22,6 +22,7 @@ from modetune.core.algebra.rigid_modes import RigidByHand
 from modetune.core.correlation.pairing import PairRules
 from modetune.core.errors import CampaignError, ModelError
 from modetune.core.expressions import names_of
+from modetune.core.machine import usable_cores
 from modetune.core.measurement.measurement import Measurement
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
@@ -227,7 +228,7 @@ class Campaign:
 
 def cores() -> int:
     """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+    return usable_cores()
 
 
 def load_campaign(

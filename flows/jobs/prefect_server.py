@@ -33,7 +33,8 @@ from typing import Literal, overload
 from urllib.parse import unquote, urlsplit
 
 from modetune.adapters import supervisor
-from modetune.core.errors import StorageUnavailable
+from modetune.core.errors import ModetuneError, StorageUnavailable
+from modetune.core.machine import ELSEWHERE, is_linux
 from modetune.core.storage.files import storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.flows.campaign.site import HOME_VARIABLE as HOME_VARIABLE
@@ -237,7 +238,9 @@ def use_server(start: bool = True) -> SharedServer | None:
 
 
 def shared_server() -> SharedServer:
-    """Use the shared server; start it if necessary. Raises StorageUnavailable."""
+    """Use the shared server; start it if necessary. Raises StorageUnavailable, ModetuneError."""
+    if not is_linux():
+        raise ModetuneError(f"Prefect's shared server: {ELSEWHERE}")
     home = server_home()
     remedy = f"name another place with {HOME_VARIABLE}, or use --no-prefect"
     with storage_errors(home / "server.json", remedy):
