@@ -78,7 +78,7 @@ def go(on: StudyContext, options: GoOptions) -> StudyResult:
     Identifies modes where the test has none, drafts the campaign, checks it, updates the model and
     writes the report. Stops with exit code 2 and the key to set where going on would be wrong:
     unknown units, a test that fits the model in several ways, or a pre-check that finds something
-    wrong. The same command then goes on with the campaign file. Otherwise it ends as update does.
+    wrong. The same command then continues with the campaign file. Otherwise it ends as update does.
     """
     from modetune.flows.updating.forecast import Unwatched
 
@@ -96,7 +96,7 @@ def go(on: StudyContext, options: GoOptions) -> StudyResult:
     checked = on.run_study("check", given, Unwatched())
     report: Any = checked.found
     if report.exit_code:
-        again = f"correct {near(options.campaign_file)}, and repeat the command: it goes on there"
+        again = f"correct {near(options.campaign_file)}, and repeat the command: it continues there"
         return _stopped(guesses, _refusal(report), again, report)
     whole = {**given, "runs": options.runs, "fail_on": options.fail_on}
     end = on.run_study("update", whole, on.progress)
@@ -192,7 +192,7 @@ def _doubts(report: PreCheckReport) -> list[dict[str, Any]]:
 def _stopped(
     guesses: list[str], reason: str, again: str, report: PreCheckReport | None = None
 ) -> StudyResult:
-    """Return the end where going on would be wrong; again: how to go on."""
+    """Return the end where going on would be wrong; again: how to continue."""
     code = 2 if report is None else report.exit_code
     findings = [] if report is None else _doubts(report)
     return StudyResult(

@@ -203,8 +203,8 @@ def _updated(
 ) -> ReceivedFile:
     """Update with an accepted test.
 
-    A test that the campaign or its model cannot use is said, and the next one goes on. Any other
-    failure, such as a solver's, ends the study, and its repetition begins with this test.
+    A test that the campaign or its model cannot use is reported, and the next one follows. Any
+    other failure, such as a solver's, ends the study, and its repetition begins with this test.
     """
     from modetune.core.monitoring.past_runs import utc
     from modetune.flows.updating.forecast import Unwatched
