@@ -201,10 +201,9 @@ def go(
     that fits the model in several ways, or a pre-check that finds something wrong.
     """
     given = {**locals(), "test": [str(path) for path in _paths(test)]}
-    found: Any = _found("go", given)
+    found: CampaignRun | CampaignError = _found("go", given)
     if isinstance(found, CampaignError):
         raise found
-    assert isinstance(found, CampaignRun)
     return found
 
 
@@ -492,12 +491,12 @@ def fleet(
 
 def receive(
     campaign: CampaignLike,
-    lab: StrPath | Sequence[StrPath],
+    lab: StrPath | Sequence[StrPath] = (),
     runs: StrPath = "runs",
     *,
     settle: float = 30.0,
     again: bool = False,
-    band: tuple[float, float] | None = None,
+    band: str | None = None,
     order: int = 60,
     fail_on: FailOn | None = None,
     settings: Settings = (),
@@ -508,13 +507,12 @@ def receive(
 
     lab: folders in which tests arrive, or test files; those that were received before are left
     alone. settle: seconds for which a file has not changed before it is read. again: also judge
-    files that were set aside again. band: for identification, Hz; order: pairs of poles.
+    files that were set aside again. band: for identification, "5,80" Hz; order: pairs of poles.
     """
     given = {
         **locals(),
         "lab": [Path(one) for one in ([lab] if isinstance(lab, str | Path) else lab)],
     }
-    given["band"] = None if band is None else f"{band[0]},{band[1]}"
     found: tuple[ReceivedFile, ...] = _found("receive", given)
     return found
 
