@@ -34,6 +34,7 @@ from modetune.flows.campaign.sketch import campaign_name
 from modetune.flows.campaign.solvers import bind_function
 from modetune.flows.extras import named_extras
 from modetune.flows.report.terminal import terminal
+from modetune.flows.responses.own import own_response
 from modetune.flows.server.run import carried_out
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.identify.identification import Identification, IdentificationSettings
@@ -120,6 +121,7 @@ def update(
     name: str = "",
     version: str | None = None,
     dofs: Sequence[Any] | None = None,
+    responses: Sequence[Mapping[str, Any]] = (),
     starts: int | None = None,
     fail_on: FailOn | None = None,
     settings: Settings = (),
@@ -138,6 +140,9 @@ def update(
     parameters: values by name, {"k1": 1100.0}, or a list with campaign keys and a `value` each.
     name: of the campaign, the function's by default. version: of the function's results, which are
     stored only with one. dofs: names of its rows, the test's sensors by default.
+
+    responses: further values to compare, each {"function": f, "measured": values, "deviation":
+    values}: f(frequencies_hz, mode_shapes) gets the modes of the test and returns the values.
     """
     given = locals()
     for key in ("model", "test", "parameters", "name", "version", "dofs"):
@@ -716,9 +721,11 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     study = find_study(name)
     first = study.fields[0].name
     loaded, settings, watch = None, given.pop("settings"), given.pop("on_iteration", None)
+    own = given.pop("responses", ())
     if "campaign" in given:
         campaign = given.pop("campaign")
-        if isinstance(campaign, Mapping) and user_function(campaign) is not None:
+        called = isinstance(campaign, Mapping) and user_function(campaign) is not None
+        if (own or called) and not isinstance(campaign, Campaign):
             starts = given.pop("starts", None)
             more = [] if starts is None else [f"update.starts={starts}"]
             campaign, settings = load(campaign, [*_texts(settings), *more]), ()
@@ -738,6 +745,10 @@ def _found(name: str, given: dict[str, Any]) -> Any:
     parameters = {"settings": _texts(settings)} | {
         item.name: _parameter(item, given[item.name]) for item in study.fields if item.name in given
     }
+    if own and loaded is not None:
+        case = loaded.case
+        compared = (*case.compared, own_response(own, case.test))
+        loaded = replace(loaded, cases=(replace(case, compared=compared),))
     with named_extras(), watched as progress, _without_past(loaded) as loaded:
         seen = progress if watch is None else Watched(progress, watch)
         end = carried_out(study, parameters, seen, prefect=door, campaign=loaded)

@@ -126,11 +126,11 @@ class UserFunction:
             return self.function(np.array(list(values.values())))
         except Exception as error:  # a user's function may raise anything
             raise SolverRejected(
-                f"{self._failure(error)} {at_values(values)}; correct the function, or narrow the "
+                f"{self.failure(error)} {at_values(values)}; correct the function, or narrow the "
                 "bounds to values that it can take"
             ) from error
 
-    def _failure(self, error: Exception) -> str:
+    def failure(self, error: Exception) -> str:
         """Return where it failed, and with what."""
         frames = traceback.extract_tb(error.__traceback__)[1:]
         own = [frame for frame in frames if frame.filename == self.file] or frames

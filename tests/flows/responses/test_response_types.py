@@ -11,6 +11,8 @@ from modetune.flows.responses.residuals import ResidualSection, response_types
 FLOWS = Path(__file__).resolve().parents[3] / "flows"
 #: Files of the room that serve all types.
 SEAM = {"__init__", "section", "response", "residuals", "gauges"}
+#: Those without a key: functions of the user, which no campaign file holds.
+IN_PYTHON = {"own"}
 
 
 def test_a_type_is_two_files_with_the_name_of_its_key() -> None:
@@ -24,7 +26,7 @@ def test_a_type_is_two_files_with_the_name_of_its_key() -> None:
 
 def test_every_file_of_the_room_is_a_type_or_serves_all() -> None:
     files = {path.stem for path in (FLOWS / "responses").glob("*.py")}
-    assert files == SEAM | set(response_types())
+    assert files == SEAM | IN_PYTHON | set(response_types())
 
 
 def test_types_follow_the_keys_of_frequencies_and_shapes_in_the_order_of_their_rows() -> None:

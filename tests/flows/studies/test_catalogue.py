@@ -86,7 +86,7 @@ def test_each_study_is_defined_once_below_its_name() -> None:
 
 
 #: What `update` takes in Python alone: functions, and the campaign of one that is a model.
-FUNCTIONS = {"model", "test", "parameters", "name", "version", "dofs", "on_iteration"}
+FUNCTIONS = {"model", "test", "parameters", "name", "version", "dofs", "responses", "on_iteration"}
 
 
 @pytest.mark.parametrize("name", STUDIES)

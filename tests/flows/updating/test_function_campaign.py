@@ -279,3 +279,80 @@ def test_an_error_of_a_callback_ends_the_update_as_it_is() -> None:
 
     with pytest.raises(RuntimeError, match="enough"):
         update(matrices, on_iteration=stop)
+
+
+def top_over_bottom(hz: Floats, shapes: Floats) -> Any:
+    """Ratio of the first mode's motion at masses 3 and 1, and the product of frequencies."""
+    return [shapes[2, 0] / shapes[0, 0], np.prod(hz)]
+
+
+def responses(**changes: Any) -> list[dict[str, Any]]:
+    hz, shapes = modes(np.array(list(TRUTH.values())))
+    measured = top_over_bottom(hz, -3.0 * shapes)
+    own = {"function": top_over_bottom, "measured": measured, "deviation": [0.01, 0.001]}
+    return [{**own, **changes}]
+
+
+def test_own_responses_determine_what_the_test_leaves_open() -> None:
+    """Of two springs from one frequency: the ratio of the shape, known apart, gives the second."""
+    hz, shapes = modes(np.array(list(TRUTH.values())))
+    test = {"frequencies_hz": hz[:1], "mode_shapes": shapes[:, :1], "dofs": DOFS}
+    given: dict[str, Any] = {
+        "test": test,
+        "parameters": [
+            {"name": "k1", "value": 1000.0},
+            {"name": "k2", "value": 1000.0},
+            {"name": "k3", "value": 1000.0, "expression": "1"},
+        ],
+        "settings": {**FINE, "residuals.shape_weight": 0, "update.step": "weighted_least_squares"},
+    }
+    ratio = {"function": lambda f, phi: phi[2, 0] / phi[0, 0], "name": "ratio", "deviation": 1e-4}
+    run = update(matrices, **given, responses=[{**ratio, "measured": shapes[2, 0] / shapes[0, 0]}])
+    assert run.parameters["updated"].tolist()[:2] == pytest.approx([1.2, 0.85], rel=1e-3)
+    (row,) = run.summary["responses"]
+    assert (row["kind"], row["item"]) == ("own", "ratio")
+    assert row["updated"] == pytest.approx(row["measured"], abs=2e-4)  # two deviations
+
+
+def test_derivatives_of_own_responses_are_those_of_homogeneous_functions() -> None:
+    """Over all springs, at 1: 0 for a ratio of a shape, n / 2 for the product of n frequencies."""
+    run = update(modes, responses=responses(), settings={**FINE, "sensitivity.step": 1e-4})
+    first, second = run.record.iterations[:2]
+    start = first.residual.values[first.residual.rows("own")]
+    slopes = second.sensitivity[second.residual.rows("own")]
+    value = float(responses()[0]["measured"][1] - start[1])
+    # a one-sided difference of 1e-4 errs by half of it times the second derivative, 0.75 of a value
+    assert slopes.sum(axis=1) / [1.0, value] == pytest.approx([0.0, 1.5], abs=1e-4)
+
+
+def test_own_responses_of_a_campaign_file_are_compared() -> None:
+    """The function gets the three modes at the three sensors of the file's test."""
+    six_mass = Path(__file__).resolve().parents[3] / "configs" / "six_mass" / "campaign.yaml"
+    seen: list[tuple[int, ...]] = []
+
+    def first(hz: Floats, shapes: Floats) -> float:
+        seen.append((hz.size, *shapes.shape))
+        return float(hz[0])
+
+    hz = modetune.load(six_mass).test.modes.frequencies_hz[0]
+    own = [{"function": first, "measured": hz, "deviation": 0.01 * hz}]
+    run = modetune.update(six_mass, responses=own, settings={"report.page": False})
+    assert run.converged
+    assert set(seen) == {(3, 3, 3)}
+    assert [row["item"] for row in run.summary["responses"]] == ["first"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"measured": [1.0], "deviation": 0.1}, r"returned \[.*\]; expected 1 finite number, as"),
+        ({"measured": [1.0]}, "`deviation` and `weight` have one value each, or as many as"),
+        ({"function": lambda hz, shapes: hz[7]}, "` raised IndexError: .* with 3 frequencies "),
+        ({"function": lambda hz, shapes: [np.nan, 1.0]}, "expected 2 finite numbers"),
+        ({"deviation": 0.0}, "`deviation` above zero"),
+        ({"deviations": 0.1}, "each requires `function`, `measured` and `deviation`"),
+    ],
+)  # fmt: skip
+def test_an_own_response_that_fails_is_a_sentence(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(modetune.ModetuneError, match=sentence):
+        update(matrices, responses=responses(**changes))
