@@ -53,8 +53,8 @@ def digest(kind: Any) -> str:
 @pytest.mark.parametrize(
     ("kind", "number", "expected"),
     [
-        (CAMPAIGN.kind, CAMPAIGN.format, (11, "4b135ae9331a")),
-        (PAST_RUN.kind, PAST_RUN.format, (1, "25e6bf3d2495")),
+        (CAMPAIGN.kind, CAMPAIGN.format, (12, "9890f0c936b9")),
+        (PAST_RUN.kind, PAST_RUN.format, (2, "a4f4fb9e7f33")),
         (SCREENING.kind, SCREENING.format, (7, "0750f1b2a126")),
         (SCATTER.kind, SCATTER.format, (2, "abe5ba0d35f1")),
         (POSTERIOR.kind, POSTERIOR.format, (5, "333c51fb996e")),

@@ -261,6 +261,8 @@ def test_ctrl_c_ends_at_once_and_leaves_no_solver(
         text=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        # A suite in the background ignores Ctrl-C, and so would this process.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert wait_for(lambda: ccx_processes(str(folder)), 60.0)
     process.send_signal(number)
