@@ -62,7 +62,12 @@ def test_a_message_after_the_end_opens_no_log_again(
     added: list[logging.Handler] = []
     ours = logging.getLogger("modetune")
     add = ours.addHandler
-    monkeypatch.setattr(ours, "addHandler", lambda item: (added.append(item), add(item)))
+
+    def kept(item: logging.Handler) -> None:
+        added.append(item)
+        add(item)
+
+    monkeypatch.setattr(ours, "addHandler", kept)
     run(bench, watcher, bench.campaign(TRUTH))
     (late,) = [item for item in added if isinstance(item, logging.FileHandler)]
     lines = log_of(bench)

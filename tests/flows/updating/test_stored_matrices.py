@@ -617,8 +617,8 @@ def test_factors_in_single_precision_lead_to_the_same_answer(tmp_path: Path, wat
         assert (way.runs.sensitivity, way.runs.modal) == (3, 0)
     np.testing.assert_allclose(mixed.updated, double.updated, rtol=1e-6)
     # A store that has the results has their provenance: a second run computes nothing.
-    place, way = tmp_path / "mixed_precision", "model.eigensolver=mixed_precision"
-    again = update(file, place, watcher, way, "update.confirm=matrices")
+    place, setting = tmp_path / "mixed_precision", "model.eigensolver=mixed_precision"
+    again = update(file, place, watcher, setting, "update.confirm=matrices")
     assert (again.runs.sensitivity, again.runs.modal) == (0, 0)
     assert [item.solved_by for item in again.iterations] == [i.solved_by for i in mixed.iterations]
 
