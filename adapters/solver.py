@@ -269,13 +269,13 @@ class StatedUnits:
 class Addition:
     """Something that a deck lacks, in its own units.
 
-    A mass at each of some nodes; a spring along a component, 1..6, from a node to the ground or to
-    another node; a mass on such a spring from a node (`absorber`, with both values); springs in
-    place of what holds some nodes (`support`) or ties them to a leader (`link`), along one
-    component or, for 0, all that are held.
+    A mass, or an inertia about each axis, at each of some nodes; a spring along a component, 1..6,
+    from a node to the ground or to another node; a mass on such a spring from a node (`absorber`,
+    with both values); springs in place of what holds some nodes (`support`) or ties them to a
+    leader (`link`), along one component or, for 0, all that are held.
     """
 
-    kind: Literal["mass", "spring", "absorber", "support", "link"]
+    kind: Literal["mass", "inertia", "spring", "absorber", "support", "link"]
     nodes: tuple[int, ...]
     component: int
     values: tuple[float, ...]

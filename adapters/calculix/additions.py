@@ -26,6 +26,8 @@ def with_addition(
     deck = structure.deck
     if addition.component > 3:
         raise ModelError(f"{deck.file}: CalculiX has no springs against rotations of nodes")
+    if addition.kind == "inertia":
+        raise ModelError(f"{deck.file}: CalculiX has no inertias of nodes")
     steps, before = deck.named("*STEP"), 0
     if steps:
         line = deck.lines[steps[0].lines.start]

@@ -52,6 +52,15 @@ def with_addition(
             lines += _wide("CELAS1", number + 1 + place, number, twin, axis, node, axis)
         text = text_with(deck.file, before, lines, "$ ", comments)
         return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
+    if addition.kind == "inertia":
+        value = addition.values[0] / wtmass
+        elements = [str(number + place) for place in range(len(nodes))]
+        for element, node in zip(elements, nodes, strict=True):
+            own = (0.0, 0.0, 0.0, 0.0, "", value, 0.0, value, 0.0, 0.0, value)
+            lines += _wide("CONM2", element, node, 0, *own)
+        text = text_with(deck.file, before, lines)
+        found = tuple(elements)
+        return AddedCards(text, tuple(lines), (("rotary_inertia", "element", found, value),))
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""

@@ -201,8 +201,9 @@ class ReducedModel:
         near = np.flatnonzero(close.any(axis=1))
         turn = np.zeros(close.shape)
         turn[near] = _turn(inverted[near], self.rows @ vectors[:, near], close[near], shapes)
-        phi = (vectors / np.sqrt(np.abs(inverted))) @ turn
-        eigenvalues = (self.shift + 1.0 / inverted) @ turn**2
+        # Vectors without mass, which have no eigenvalue, are in no mode.
+        phi = (vectors[:, near] / np.sqrt(np.abs(inverted[near]))) @ turn[near]
+        eigenvalues = (self.shift + 1.0 / inverted[near]) @ turn[near] ** 2
         apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
         dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         stiffness, mass = (

@@ -24,7 +24,11 @@ from modetune.flows.studies.localise.proposals import Proposal
 #: Bounds and deviation of the new parameter, relative to the proposed value.
 BOUNDS, DEVIATION = (0.1, 10.0), 0.5
 #: Names of new parameters.
-NAMES: dict[Quantity, str] = {"mass": "m_added", "spring_stiffness": "k_added"}
+NAMES: dict[Quantity, str] = {
+    "mass": "m_added",
+    "rotary_inertia": "j_added",
+    "spring_stiffness": "k_added",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,8 @@ def addition(change: ModelChange, values: list[float]) -> Addition:
     """Return a change as an addition to a deck. Raises ModelError for one that has no cards."""
     if change.kind in ("point mass", "sensor masses"):
         return Addition("mass", change.nodes, 0, tuple(values))
+    if change.kind == "inertia":
+        return Addition("inertia", change.nodes, 0, tuple(values))
     if change.kind == "absorber":
         return Addition("absorber", change.nodes, change.component, tuple(values))
     if "spring" in change.kind:

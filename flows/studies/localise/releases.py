@@ -12,7 +12,7 @@ from scipy import sparse
 from modetune.adapters.solver import Deck, RigidLink
 from modetune.core.algebra.matrices import MatrixResult, upper_product
 from modetune.core.correlation.correlation import rigid_body_shapes
-from modetune.core.errors import ModelError, NoResult
+from modetune.core.errors import ModelError, SolverCrashed, SolverRejected
 from modetune.core.mesh import Mesh, part_labels
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import ParameterSet
@@ -69,7 +69,7 @@ def released_model(
         own = replace(state, engine=engine)
         evaluator.carry_out("matrices without supports", source.works(theta, columns), own)
         matrices = source.matrices(theta, columns)
-    except (ModelError, NoResult) as error:
+    except (ModelError, SolverRejected, SolverCrashed) as error:  # a mechanism, for example
         logger.info("supports and links are not released: %s", error)
         return None
     here = matrices.at(source.written(theta))

@@ -24,7 +24,12 @@ from modetune.core.updating.parameter_matrices import (
     parameter_matrices,
     separate,
 )
-from modetune.core.updating.reduced_basis import ReducedModel, reduce, with_directions
+from modetune.core.updating.reduced_basis import (
+    ReducedModel,
+    reduce,
+    unreduced,
+    with_directions,
+)
 from modetune.core.updating.sensitivity import ModeDerivatives, fox_kapoor, nelson
 from tests.core.matrix_decks import bar, matrices_of, plates
 from tests.core.updating.test_parameter_matrices import SHELL_POWERS
@@ -302,6 +307,17 @@ def test_repeated_modes_are_treated_as_the_full_model_treats_them() -> None:
     np.testing.assert_allclose(found.eigenvalues, expected.eigenvalues, atol=1e-7)
     # Ten of sixteen modes are known; the largest derivative is 0.9.
     np.testing.assert_allclose(found.mode_shapes, expected.mode_shapes, atol=1e-2)
+
+
+def test_an_unknown_without_mass_leaves_derivatives_finite() -> None:
+    """Where nothing is reduced, it is a vector of the basis with an eigenvalue of no size."""
+    affine, theta, step = square_model(), np.array([1.3, 0.4]), 1e-5
+    model = unreduced(affine, -1.0, sparse.csr_array(np.eye(affine.base.nodes.size)))
+    found = model.derivatives(theta, np.arange(4)).eigenvalues
+    for column, way in enumerate(np.eye(2)):
+        up, down = (model.modes(theta + sign * step * way, 4)[0] for sign in (1.0, -1.0))
+        # Differences of eigenvalues near 1 with steps of 1e-5 have some 1e-10 of rounding.
+        np.testing.assert_allclose(found[:, column], (up - down) / (2.0 * step), atol=1e-8)
 
 
 def test_what_a_reduced_model_has_not_is_told() -> None:

@@ -380,6 +380,30 @@ def test_a_rigid_element_becomes_a_joint_in_a_nastran_deck(tmp_path: Path) -> No
     assert abs(modetune.modes(given).elastic.frequencies_hz[0] / expected[0] - 1.0) > 0.02
 
 
+#: An inertia of 2 t mm^2 about each axis at the boom's tip.
+TIP = "CONM2,900,11,0,0.,0.,0.,0.,,+A\n+A,2.,0.,2.,0.,0.,2.\n"
+
+
+@needs_mystran
+def test_an_inertia_is_found_though_bars_turn_without_mass(tmp_path: Path) -> None:
+    """MYSTRAN also refuses the boom without its support, which then is not released."""
+    with searched(boom(), boom(TIP), {"E1": 1.05, "E2": 0.9}, tmp_path) as search:
+        best = search.ranked().found[0]
+    assert best.change.label == "inertia at node 11"
+    assert abs(np.log(best.amplitudes[0] / 2.0)) < SURE * best.errors[0]
+
+
+@needs_mystran
+def test_an_inertia_becomes_an_element_of_a_nastran_deck(tmp_path: Path) -> None:
+    given = _loaded(boom(), tmp_path / "given")
+    cards = given.case.solver.deck.with_cards(Addition("inertia", (11,), 0, (2.0,)))
+    assert cards.numbers[0][:2] == ("rotary_inertia", "element")
+    heavy = _loaded(replace(boom(), deck=cards.text), tmp_path / "heavy")
+    expected = modetune.modes(_loaded(boom(TIP), tmp_path / "hand")).elastic.frequencies_hz
+    assert modetune.modes(heavy).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+    assert abs(modetune.modes(given).elastic.frequencies_hz[2] / expected[2] - 1.0) > 0.05
+
+
 def _loaded(structure: Structure, folder: Path) -> Campaign:
     """A campaign of a structure, whose test is of no importance."""
     n = structure.n_modes
