@@ -310,14 +310,18 @@ def test_repeated_modes_are_treated_as_the_full_model_treats_them() -> None:
 
 
 def test_an_unknown_without_mass_leaves_derivatives_finite() -> None:
-    """Where nothing is reduced, it is a vector of the basis with an eigenvalue of no size."""
-    affine, theta, step = square_model(), np.array([1.3, 0.4]), 1e-5
-    model = unreduced(affine, -1.0, sparse.csr_array(np.eye(affine.base.nodes.size)))
-    found = model.derivatives(theta, np.arange(4)).eigenvalues
-    for column, way in enumerate(np.eye(2)):
-        up, down = (model.modes(theta + sign * step * way, 4)[0] for sign in (1.0, -1.0))
-        # Differences of eigenvalues near 1 with steps of 1e-5 have some 1e-10 of rounding.
-        np.testing.assert_allclose(found[:, column], (up - down) / (2.0 * step), atol=1e-8)
+    """Where nothing is reduced, it is a vector of the basis without any eigenvalue."""
+    upper = [np.array([[2.0, -1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]), np.diag([1.0, 1, 0])]
+    base = MatrixResult(
+        *(sparse.csr_array(item) for item in upper), np.arange(3), np.ones(3, np.int64)
+    )
+    first = Powers(0, (1,), (sparse.csr_array(np.diag([1.0, 0.0, 0.0])),))
+    affine = parameter_matrices(base, np.ones(1), [first], [])
+    model = unreduced(affine, -1.0, sparse.csr_array(np.eye(3)))
+    found = model.derivatives(np.ones(1), np.arange(2))
+    # Shapes (1, 1) and (1, -1) of unit mass move the first unknown by the root of a half.
+    np.testing.assert_allclose(found.eigenvalues[:, 0], [0.5, 0.5], rtol=1e-12)
+    assert np.isfinite(found.mode_shapes).all()
 
 
 def test_what_a_reduced_model_has_not_is_told() -> None:
