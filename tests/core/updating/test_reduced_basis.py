@@ -311,9 +311,10 @@ def test_repeated_modes_are_treated_as_the_full_model_treats_them() -> None:
 
 def test_an_unknown_without_mass_leaves_derivatives_finite() -> None:
     """Where nothing is reduced, it is a vector of the basis without any eigenvalue."""
-    upper = [np.array([[2.0, -1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]), np.diag([1.0, 1, 0])]
+    stiffness = np.array([[2.0, -1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    mass = np.diag([1.0, 1.0, 0.0])
     base = MatrixResult(
-        *(sparse.csr_array(item) for item in upper), np.arange(3), np.ones(3, np.int64)
+        sparse.csr_array(stiffness), sparse.csr_array(mass), np.arange(3), np.ones(3, np.int64)
     )
     first = Powers(0, (1,), (sparse.csr_array(np.diag([1.0, 0.0, 0.0])),))
     affine = parameter_matrices(base, np.ones(1), [first], [])
