@@ -165,13 +165,13 @@ class Site:
                 continue
         return found
 
-    def kill(self, *kinds: bytes) -> int:
-        """Kill the site's processes of these kinds at once; how many there were."""
+    def kill(self, *kinds: bytes, blow: signal.Signals = signal.SIGKILL) -> int:
+        """Send a signal to the site's processes of these kinds; how many there were."""
         found = self.processes(*kinds)
         for pid in found:
             try:
-                os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
+                os.kill(pid, blow)
+            except ProcessLookupError:  # it ended with its parent
                 continue
         return len(found)
 

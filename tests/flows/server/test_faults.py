@@ -356,8 +356,7 @@ def test_a_server_that_dies_or_hangs_under_a_run_changes_no_result(
     )
     time.sleep(0.5 if moment == "start" else 8.0)
     try:
-        for pid in site.processes(*SERVER):
-            os.kill(pid, blow)
+        site.kill(*SERVER, blow=blow)
         site.resume()
         began = time.monotonic()
         printed_json, said = run.communicate(timeout=100)
