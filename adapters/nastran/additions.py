@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modetune.adapters.deck_files import text_with
@@ -35,32 +37,16 @@ def with_addition(
     number = 1 + max((_number(card.text(1)) for card in deck.cards), default=0)
     lines, parts = ["$ added by modetune localise"], list[tuple[Quantity, TargetKind, str, float]]()
     nodes, component = addition.nodes, addition.component
-    if addition.kind == "support":
-        value = addition.values[0]
-        kept, comments, held = _kept_holds(deck, bulk, spc, set(nodes), component)
-        lines += [*kept, *_wide("PELAS", number, value)]
-        for place, (node, axis) in enumerate(held):
-            lines += _wide("CELAS1", number + place, number, node, axis)
+    if addition.kind in ("support", "link"):
+        more, comments = (
+            _support(deck, bulk, spc, addition, number)
+            if addition.kind == "support"
+            else _joint(deck, mesh, bulk, addition, number)
+        )
+        lines += more
         text = text_with(deck.file, before, lines, "$ ", comments)
-        names = (str(number),)
+        names, value = (str(number),), addition.values[0]
         return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
-    if addition.kind == "link":
-        more, comments, ties = _joint(deck, mesh, bulk, addition, number)
-        value, names = addition.values[0], (str(number),)
-        lines += [*more, *_wide("PELAS", number, value)]
-        for place, (twin, node, axis) in enumerate(ties):
-            lines += _wide("CELAS1", number + 1 + place, number, twin, axis, node, axis)
-        text = text_with(deck.file, before, lines, "$ ", comments)
-        return AddedCards(text, tuple(lines), (("spring_stiffness", "property", names, value),))
-    if addition.kind == "inertia":
-        value = addition.values[0] / wtmass
-        elements = [str(number + place) for place in range(len(nodes))]
-        for element, node in zip(elements, nodes, strict=True):
-            own = (0.0, 0.0, 0.0, 0.0, "", value, 0.0, value, 0.0, 0.0, value)
-            lines += _wide("CONM2", element, node, 0, *own)
-        text = text_with(deck.file, before, lines)
-        found = tuple(elements)
-        return AddedCards(text, tuple(lines), (("rotary_inertia", "element", found, value),))
     if addition.kind == "absorber":
         x, y, z = mesh.coordinates[mesh.rows(np.array([nodes[0]]))[0]].tolist()
         frame = "0" if nodes[0] not in mesh.frames else ""
@@ -72,29 +58,46 @@ def with_addition(
         lines += _wide("GRID", number, 0, x, y, z, 0, others)
         nodes, number = (nodes[0], number), number + 1
     if addition.kind != "spring":
-        value = addition.values[0] / wtmass
-        for node in nodes if addition.kind == "mass" else nodes[1:]:
-            lines += _wide("CONM2", number, node, 0, value)
-            parts.append(("mass", "element", str(number), value))
+        value, inertia = addition.values[0] / wtmass, addition.kind == "inertia"
+        about = (0.0, 0.0, 0.0, 0.0, "", value, 0.0, value, 0.0, 0.0, value)
+        quantity: Quantity = "rotary_inertia" if inertia else "mass"
+        for node in nodes[1:] if addition.kind == "absorber" else nodes:
+            lines += _wide("CONM2", number, node, 0, *(about if inertia else (value,)))
+            parts.append((quantity, "element", str(number), value))
             number += 1
-    if addition.kind != "mass":
+    if addition.kind not in ("mass", "inertia"):
         ends = [part for node in nodes for part in (node, component)]
         lines += _wide("CELAS1", number, number, *ends)
         lines += _wide("PELAS", number, addition.values[-1])
         parts.append(("spring_stiffness", "property", str(number), addition.values[-1]))
     text = text_with(deck.file, before, lines)
     together: dict[tuple[Quantity, TargetKind, float], list[str]] = {}
-    for quantity, by, name, value in parts:
-        together.setdefault((quantity, by, value), []).append(name)
-    numbers = tuple((q, by, tuple(names), value) for (q, by, value), names in together.items())
+    for what, by, name, size in parts:
+        together.setdefault((what, by, size), []).append(name)
+    numbers = tuple((what, by, tuple(own), size) for (what, by, size), own in together.items())
     return AddedCards(text, tuple(lines), numbers)
+
+
+def _support(
+    deck: NastranDeck, bulk: Bulk, spc: int, addition: Addition, number: int
+) -> tuple[list[str], list[int]]:
+    """Return springs in place of what holds some grids, and lines to comment out."""
+    kept, comments, held = _kept_holds(deck, bulk, spc, set(addition.nodes), addition.component)
+    return [*kept, *_springs(number, addition.values[0], held)], comments
+
+
+def _springs(number: int, value: float, ends: Sequence[tuple[int, ...]]) -> list[str]:
+    """Return springs of one property; ends: grid and component of each, or those of both ends."""
+    lines = _wide("PELAS", number, value)
+    for place, own in enumerate(ends, start=1):
+        lines += _wide("CELAS1", number + place, number, *own)
+    return lines
 
 
 def _joint(
     deck: NastranDeck, mesh: Mesh, bulk: Bulk, addition: Addition, number: int
-) -> tuple[list[str], list[int], list[tuple[int, int, int]]]:
-    """Return cards of a rigid element on grids of its own, lines to comment out, and what springs
-    tie: its grid, the grid of the structure, and the component.
+) -> tuple[list[str], list[int]]:
+    """Return a rigid element on grids of its own with springs, and lines to comment out.
 
     What does not yield stays in the element with its number.
     """
@@ -127,8 +130,9 @@ def _joint(
     if rest:
         lines += _wide("RBE2", element.eid, element.gn, rest, *nodes)
     lines += _wide("RBE2", number, element.gn, "123456", *twins.values())
-    ties = [(twins[node], node, axis) for node in nodes for axis in yields]
-    return lines, [line.number for line in own], ties
+    ties = [(twins[node], axis, node, axis) for node in nodes for axis in yields]
+    lines += _springs(number, addition.values[0], ties)
+    return lines, [line.number for line in own]
 
 
 def _kept_holds(

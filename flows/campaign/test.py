@@ -20,7 +20,7 @@ from modetune.core.mesh import Mesh
 from modetune.core.modes import MeasuredModes, ModeSet, mode_set
 from modetune.core.storage.store import Store
 from modetune.flows.campaign.mapping import Mapping, map_sensors
-from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile
+from modetune.flows.campaign.schema import NO_TEST, CampaignFile, OpenFile, TestSection
 from modetune.flows.campaign.units import LENGTH_METRES, METRES
 from modetune.flows.responses.residuals import kept_sensors, weight_problems
 
@@ -58,31 +58,15 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
         if again is None:
             return None
         measurement = again
-    environment = {**measurement.environment, **file.test.environment}
-    at = file.test.measured_at
-    measurement = replace(
-        measurement,
-        environment=environment,
-        measured_at=measurement.measured_at if at is None else seconds_of(at),
-    )
+    measurement = _with_conditions(measurement, file.test)
     test = measurement.modes
     if test is None:
         problems.append(f"{source.where(('test', 'modes'))}: {text} holds no modes")
         return None
     has = ", ".join(map(str, test.numbers))
-    unknown = False
-    for key, wanted in (("use", file.test.use or ()), ("hold_out", file.test.hold_out)):
-        missing = [str(number) for number in wanted if number not in test.numbers]
-        if missing:
-            unknown = True
-            asked = "asked for" if key == "use" else "to be held out"
-            problems.append(
-                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {text} "
-                f"has modes {has}"
-            )
-    pairs = _pair_problems(source, file, test)
-    problems += pairs
-    if unknown or pairs:
+    wrong = [*_unknown_modes(source, file, test, text), *_pair_problems(source, file, test)]
+    problems += wrong
+    if wrong:
         return None
     if not used_numbers(file, test):
         problems.append(
@@ -99,6 +83,32 @@ def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Meas
     step = file.update.step
     problems += weight_problems(source, file.residuals, step, measurement, used, held_out)
     return measurement
+
+
+def _with_conditions(measurement: Measurement, section: TestSection) -> Measurement:
+    """Return the test with what the campaign says of its environment and its time."""
+    at = section.measured_at
+    return replace(
+        measurement,
+        environment={**measurement.environment, **section.environment},
+        measured_at=measurement.measured_at if at is None else seconds_of(at),
+    )
+
+
+def _unknown_modes(
+    source: YamlFile, file: CampaignFile, test: MeasuredModes, text: str
+) -> list[str]:
+    """Return problems of modes that the campaign names and the test's files (text) lack."""
+    has, problems = ", ".join(map(str, test.numbers)), []
+    for key, wanted in (("use", file.test.use or ()), ("hold_out", file.test.hold_out)):
+        missing = [str(number) for number in wanted if number not in test.numbers]
+        if missing:
+            asked = "asked for" if key == "use" else "to be held out"
+            problems.append(
+                f"{source.where(('test', key))}: mode {', '.join(missing)} is {asked}, but {text} "
+                f"has modes {has}"
+            )
+    return problems
 
 
 def _corrected(measurement: Measurement, file: CampaignFile) -> Measurement:

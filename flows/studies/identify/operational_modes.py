@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy import signal
 
-from modetune.adapters.pole_estimators import ssi_poles, ssi_poles_of_parts
+from modetune.adapters.pole_estimators import PolesOfOrder, ssi_poles, ssi_poles_of_parts
 from modetune.adapters.test_files import measurements
 from modetune.adapters.test_files.file_kind import SUFFIXES
 from modetune.core.brief import brief
@@ -37,7 +37,7 @@ from modetune.core.measurement.stabilisation import (
     pick_tracks,
 )
 from modetune.core.measurement.time_histories import TimeHistories
-from modetune.core.modes import Floats, Integers, MeasuredModes, dof_name, mode_set
+from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, dof_name, mode_set
 from modetune.flows.studies.identify.identification import (
     Identification,
     IdentificationSettings,
@@ -160,13 +160,8 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         values, step = signal.decimate(values, every, ftype="fir", axis=0), step * every
     criteria, order = settings.criteria, min(settings.order, MOST_ORDER)
     rows = max(BLOCK_ROWS, -(-2 * order // values.shape[1]) + 1)
-    orders = []
-    for number, (poles, shapes) in enumerate(ssi_poles(values, step, order, rows), start=1):
-        kept = physical_poles(poles, (low, high), criteria.largest_damping)
-        columns = [int(np.flatnonzero(poles == pole)[0]) for pole in kept]
-        none = np.zeros(kept.size, dtype=np.int64)
-        orders.append(OrderPoles(number, kept, shapes[:, columns], none))
-    judged = judge_orders(orders, criteria)
+    found = ssi_poles(values, step, order, rows)
+    judged = judge_orders(_physical(found, (low, high), criteria.largest_damping), criteria)
     tracks = follow_poles(judged, criteria)
     # The share of a pole in the responses is unknown here, so poles must be stable at more orders.
     enough = criteria.least_stable or max(criteria.least_picked, order // LASTING)
@@ -192,17 +187,12 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
     lines, spectra = signal.welch(values, 1.0 / step, nperseg=length, axis=0)
     inside = (lines > 0.0) & (lines >= low) & (lines <= high)
     seconds = run.values.shape[0] * run.step_s
-    slowest = float(modes.frequencies_hz[0] * modes.damping_ratios[0] * seconds)
-    notes = [
+    notes = (
         f"output only: {seconds:.4g} s of {values.shape[1]} channels at {1.0 / step:.4g} Hz, "
         f"subspace identification of covariances, orders up to {order}, {rows} block rows",
         "shapes have no scale, because the forces were not measured",
-    ]
-    if slowest < 3.0:
-        notes.append(
-            f"the recording holds {modes.frequencies_hz[0] * seconds:.3g} periods of mode 1: its "
-            "damping is uncertain by a quarter and more; record longer"
-        )
+        *_short_recording(modes, seconds),
+    )
     return OperationalModes(
         modes=MeasuredModes(tuple(range(1, poles.size + 1)), modes),
         phase_collinearity=modal_phase_collinearity(shapes),
@@ -212,9 +202,33 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         orders=judged,
         lines_hz=lines[inside],
         spectrum=spectra[inside].sum(axis=1),
-        notes=tuple(notes),
+        notes=notes,
         deviations=_deviations(values, step, rows, [stable[place] for place in at]),
     )
+
+
+def _physical(
+    found: Sequence[PolesOfOrder], band_hz: tuple[float, float], largest_damping: float
+) -> list[OrderPoles]:
+    """Return the poles of each order that a structure can have."""
+    orders = []
+    for number, (poles, shapes) in enumerate(found, start=1):
+        kept = physical_poles(poles, band_hz, largest_damping)
+        columns = [int(np.flatnonzero(poles == pole)[0]) for pole in kept]
+        none = np.zeros(kept.size, dtype=np.int64)
+        orders.append(OrderPoles(number, kept, shapes[:, columns], none))
+    return orders
+
+
+def _short_recording(modes: ModeSet, seconds: float) -> list[str]:
+    """Return a note where a recording is short for the first mode's damping."""
+    periods = float(modes.frequencies_hz[0] * seconds)
+    if periods * float(modes.damping_ratios[0]) >= 3.0:
+        return []
+    return [
+        f"the recording holds {periods:.3g} periods of mode 1: its damping is uncertain by a "
+        "quarter and more; record longer"
+    ]
 
 
 @dataclass(frozen=True, slots=True)

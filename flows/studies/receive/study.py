@@ -100,7 +100,7 @@ def receive(on: StudyContext, options: ReceiveOptions) -> StudyResult:
 
     if not options.lab:
         raise CampaignError("name the lab's folder: modetune receive campaign.yaml lab")
-    identification = options.identification()
+    identification, section = options.identification(), _section(options)
     with FileLock(on.folder / FOLDER / ".lock") as lock:
         if not lock.take():
             raise CampaignRunning(
@@ -116,10 +116,10 @@ def receive(on: StudyContext, options: ReceiveOptions) -> StudyResult:
         for item in sorted([*waiting, *new], key=lambda item: (item.at, item.file)):
             if not item.accepted:
                 on.working(f"reading {near(Path(item.file))}")
-                item = _judged(on, options, inbox, item, identification)
+                item = _judged(on, section, inbox, item, identification)
                 inbox.keep(item)
             if item.accepted:
-                item = _updated(on, options, inbox, item)
+                item = _updated(on, options, section, inbox, item)
                 inbox.keep(item)
             ended.append(item)
     return _result(on, ended, arriving, len(inbox.received))
@@ -127,7 +127,7 @@ def receive(on: StudyContext, options: ReceiveOptions) -> StudyResult:
 
 def _judged(
     on: StudyContext,
-    options: ReceiveOptions,
+    section: TestSection,
     inbox: Inbox,
     item: ReceivedFile,
     identification: IdentificationSettings,
@@ -135,7 +135,7 @@ def _judged(
     """Return a new file with the decision, and write the modes of an accepted one."""
     from modetune.flows.studies.receive.lab_test import read_lab_test, write_lab_test
 
-    section, case = _section(options), on.campaign.case
+    case = on.campaign.case
     before = _newest_modes(inbox, section, item, case.measurement.modes)
     try:
         test = read_lab_test(Path(item.file), section, before, case.measurement, identification)
@@ -199,7 +199,11 @@ def _newest_modes(
 
 
 def _updated(
-    on: StudyContext, options: ReceiveOptions, inbox: Inbox, item: ReceivedFile
+    on: StudyContext,
+    options: ReceiveOptions,
+    section: TestSection,
+    inbox: Inbox,
+    item: ReceivedFile,
 ) -> ReceivedFile:
     """Update with an accepted test.
 
@@ -211,7 +215,6 @@ def _updated(
 
     assert on.run_study is not None
     on.working(f"updating with {near(Path(item.file))}")
-    section = _section(options)
     changed: dict[str, Any] = {
         "modes": [str(inbox.modes_file(item).absolute())],
         "repeats": [],
