@@ -28,7 +28,7 @@ times these, several times.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -49,6 +49,7 @@ from modetune.core.updating.reduced_basis import (
 
 #: Vectors whose responses are computed at a time.
 AT_ONCE = 64
+NONE: Integers = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +69,69 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
+class DampedModel(ReducedModel):
+    """dampers: viscous and structural matrix, (r, r) each, at all values; none without."""
+
+    dampers: tuple[Floats, ...] = ()
+
+    @classmethod
+    def of(cls, model: ReducedModel, dampers: tuple[Floats, ...]) -> DampedModel:
+        own = {item.name: getattr(model, item.name) for item in fields(ReducedModel)}
+        return cls(**own, dampers=dampers)
+
+    def chosen(self, places: Integers) -> DampedModel:
+        """Return the model on these of its vectors, (n_places,)."""
+        own = tuple(matrix[np.ix_(places, places)] for matrix in self.dampers)
+        return DampedModel.of(of_vectors(self, places), own)
+
+    def mapped(self, square: Callable[[Floats], Floats], rows: Floats) -> DampedModel:
+        """Return the model with each matrix (r, r) changed by a function, and with other rows."""
+
+        def parts(given: tuple[ReducedPart, ...]) -> tuple[ReducedPart, ...]:
+            return tuple(
+                replace(part, values=np.stack([square(values) for values in part.values]))
+                for part in given
+            )
+
+        return replace(
+            self,
+            base_stiffness=square(self.base_stiffness),
+            base_mass=square(self.base_mass),
+            stiffness=parts(self.stiffness),
+            mass=parts(self.mass),
+            rows=rows,
+            dampers=tuple(map(square, self.dampers)),
+        )
+
+    def turned(self, turn: Floats) -> DampedModel:
+        """Return the model on combinations (r, r_new) of its vectors."""
+        return self.mapped(lambda values: turn.T @ values @ turn, self.rows @ turn)
+
+    def scaled(self, scale: Floats) -> DampedModel:
+        """Return the model with each vector multiplied by its scale, (r,)."""
+        return self.mapped(lambda values: scale[:, None] * values * scale, self.rows * scale)
+
+    def padded(self, n_own: int) -> DampedModel:
+        """Return the model with unknowns of their own behind it, so far without any matrix."""
+        if not n_own:
+            return self
+        rows = np.pad(self.rows, ((0, 0), (0, n_own)))
+        return self.mapped(lambda values: np.pad(values, ((0, n_own), (0, n_own))), rows)
+
+
+@dataclass(frozen=True, slots=True)
 class AttachedModel:
     """A reduced model with the static responses to loads at the places of all changes.
 
     whole: on the basis, `size` vectors, and then the response to each load. at: (n_loads, n_all),
-    the displacement of each load's place in these vectors.
+    the displacement of each load's place in these vectors. kept: loads whose responses the model
+    of every change contains.
     """
 
-    whole: ReducedModel
+    whole: DampedModel
     size: int
     at: Floats
+    kept: Integers
 
     def flexibility(self, loads: Sequence[int], weights: Floats) -> float:
         """Return the static displacement along b under the force b.
@@ -88,18 +142,19 @@ class AttachedModel:
         block = self.at[np.ix_(places, self.size + places)]
         return float(weights @ block @ weights)
 
-    def changed(self, terms: Sequence[Term], n_amplitudes: int = 0) -> ReducedModel:
+    def changed(self, terms: Sequence[Term], n_amplitudes: int = 0) -> DampedModel:
         """Return the model with a change, whose amplitudes follow the parameters and start at 0.
 
         n_amplitudes: of the change, at least those of its terms.
         """
-        used = np.unique(np.array([n for term in terms for n in term.loads], dtype=np.int64))
+        loads = np.array([n for term in terms for n in term.loads], dtype=np.int64)
+        used = np.unique(np.append(self.kept, loads))
         places = np.concatenate([np.arange(self.size), self.size + used])
-        model = of_vectors(self.whole, places)
+        model = self.whole.chosen(places)
         turn = _independent(model.base_stiffness - model.shift * model.base_mass, self.size)
-        model, at = _turned(model, turn), self.at[:, places] @ turn
+        model, at = model.turned(turn), self.at[:, places] @ turn
         n_own = max((term.own.shape[1] for term in terms), default=0)
-        model = _padded(model, n_own)
+        model = model.padded(n_own)
         n_before = model.reference.size
         n_amplitudes = max([n_amplitudes, *(1 + term.amplitude for term in terms)])
         added: dict[str, list[ReducedPart]] = {"stiffness": [], "mass": []}
@@ -125,7 +180,7 @@ class Released:
     matrices: of its own equations, n_free. tie: (n_free, n), the constrained model's motion of
     them; a row is empty where a support holds it. observer: (n_rows, n_free). loads: (n_free,
     n_loads). patterns: (n_free, n_patterns), motions relative to the tie, each group's own
-    orthonormal.
+    orthonormal. dampers: as of `attached_model`, (n_free, n_free) each.
     """
 
     matrices: ParameterMatrices
@@ -133,6 +188,7 @@ class Released:
     observer: sparse.csr_array
     loads: sparse.csr_array
     patterns: sparse.csr_array
+    dampers: tuple[sparse.csr_array, ...] = ()
 
     def lifted(self, theta: Floats, shift: float, inverse: Callable[[Floats], Floats]) -> Floats:
         """Return the static motion (n_free, n_patterns) with each pattern.
@@ -174,12 +230,15 @@ def attached_model(
     loads: sparse.csr_array,
     released: Released | None = None,
     at: tuple[Floats, float] | None = None,
+    kept: Integers = NONE,
+    dampers: tuple[sparse.csr_array, ...] = (),
 ) -> AttachedModel:
     """Return a reduced model with the responses to loads.
 
     model, basis (n, r): as of `reduced_basis.reduce`, made with `inverse`, (K - s M)^-1 of a block
     (n, k). observer: (n_rows, n). loads: (n, n_loads). released: motions without supports and
     links, which are further loads behind these; at: the values (n_columns,) and s of the inverse.
+    kept: as of `AttachedModel`. dampers: viscous and structural, (n, n) each, none without.
     """
     responses = np.zeros(loads.shape)
     for first in range(0, loads.shape[1], AT_ONCE):
@@ -187,6 +246,7 @@ def attached_model(
         responses[:, some] = inverse(np.asfortranarray(loads[:, some].toarray()))
     if released is not None and at is not None:
         affine, observer, loads = released.matrices, released.observer, released.loads
+        dampers = released.dampers
         lifted = released.lifted(*at, inverse)
         responses = np.hstack([released.tie @ responses, lifted])
         basis = released.tie @ basis
@@ -194,11 +254,14 @@ def attached_model(
     lengths = np.linalg.norm(responses, axis=0)
     responses /= np.where(lengths > 0.0, lengths, 1.0)
     scale = np.concatenate([np.ones(basis.shape[1]), lengths])
-    whole = _scaled(widened_model(affine, model, (basis,), responses, observer), scale)
+    wide = widened_model(affine, model, (basis,), responses, observer)
+    every = np.hstack([basis, responses]) if dampers else basis
+    projected_dampers = tuple(every.T @ (matrix @ every) for matrix in dampers)
+    whole = DampedModel.of(wide, projected_dampers).scaled(scale)
     moved = np.hstack([loads.T @ basis, loads.T @ responses]) * scale
     n_patterns = responses.shape[1] - loads.shape[1]
     own = np.eye(n_patterns, moved.shape[1], moved.shape[1] - n_patterns)
-    return _orthonormal(AttachedModel(whole, basis.shape[1], np.vstack([moved, own])))
+    return _orthonormal(AttachedModel(whole, basis.shape[1], np.vstack([moved, own]), kept))
 
 
 def _orthonormal(loaded: AttachedModel) -> AttachedModel:
@@ -211,46 +274,7 @@ def _orthonormal(loaded: AttachedModel) -> AttachedModel:
         raise ModesError("the basis of a reduced model depends on itself") from error
     turn = np.eye(whole.size)
     turn[:size, :size] = solve_triangular(lower, np.eye(size), lower=True).T
-    return AttachedModel(_turned(whole, turn), size, loaded.at @ turn)
-
-
-def _scaled(model: ReducedModel, scale: Floats) -> ReducedModel:
-    """Return the model with each vector multiplied by its scale, (r,)."""
-
-    def square(values: Floats) -> Floats:
-        return np.asarray(scale[:, None] * values * scale)
-
-    return _mapped(model, square, model.rows * scale)
-
-
-def _turned(model: ReducedModel, turn: Floats) -> ReducedModel:
-    """Return the model on combinations (r, r_new) of its vectors."""
-    return _mapped(model, lambda values: turn.T @ values @ turn, model.rows @ turn)
-
-
-def _padded(model: ReducedModel, n_own: int) -> ReducedModel:
-    """Return the model with unknowns of their own behind it, without stiffness and mass so far."""
-    if not n_own:
-        return model
-    rows = np.pad(model.rows, ((0, 0), (0, n_own)))
-    return _mapped(model, lambda values: np.pad(values, ((0, n_own), (0, n_own))), rows)
-
-
-def _mapped(model: ReducedModel, square: Callable[[Floats], Floats], rows: Floats) -> ReducedModel:
-    def parts(given: tuple[ReducedPart, ...]) -> tuple[ReducedPart, ...]:
-        return tuple(
-            replace(part, values=np.stack([square(values) for values in part.values]))
-            for part in given
-        )
-
-    return replace(
-        model,
-        base_stiffness=square(model.base_stiffness),
-        base_mass=square(model.base_mass),
-        stiffness=parts(model.stiffness),
-        mass=parts(model.mass),
-        rows=rows,
-    )
+    return replace(loaded, whole=whole.turned(turn), at=loaded.at @ turn)
 
 
 def _independent(energy: Floats, size: int) -> Floats:

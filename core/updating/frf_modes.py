@@ -46,6 +46,7 @@ from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.krylov import GUARD
 from modetune.core.algebra.matrices import MatrixResult, projected, upper_product
+from modetune.core.errors import ModesError
 from modetune.core.measurement.response_functions import Complexes
 from modetune.core.modes import REPEATED, Floats, Integers, close_sets
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -56,6 +57,8 @@ REACH = 1.5
 #: Shift over the square of the highest circular frequency: far below what residual vectors are of,
 #: and far above the rounding of rigid modes.
 SHIFT = 0.01
+#: Equations up to which all modes of a model are taken.
+SMALL = 400
 #: Part of a residual vector that is not rounding of those before it.
 NEW = 1e-8
 #: Modes whose eigenvalue is this part of the shift are rigid, and have no damping.
@@ -90,9 +93,13 @@ class FrfModes:
         system: DampedSystem | None = None,
     ) -> FrfModes:
         """Without ratios. dofs: (n_dofs, n_equations); n_least: modes to begin with; like: of a
-        similar model; system: where dampers count. Raises ModelError."""
+        similar model; system: where dampers count. Of a small model these are all modes. Raises
+        ModelError, ModesError."""
         top = (2.0 * np.pi * highest_hz) ** 2
         shift = SHIFT * top
+        if here.nodes.size <= SMALL:
+            stiffness, mass = here.stiffness.toarray(), here.mass.toarray()
+            return cls.whole(stiffness, mass, dofs.toarray(), shift).among(system)
         shapes = _lowest(here, REACH**2 * top, n_least, like)
         shifted = here.stiffness + shift * here.mass
         factors = factorise(shifted)
@@ -114,8 +121,13 @@ class FrfModes:
 
     @classmethod
     def whole(cls, stiffness: Floats, mass: Floats, dofs: Floats, shift: float) -> FrfModes:
-        """All modes of a small pencil (r, r), without damping; dofs: (n_dofs, r)."""
-        tau, psi = linalg.eigh(mass, stiffness + shift * mass)
+        """All modes of a small pencil (r, r), without damping; dofs: (n_dofs, r).
+
+        Raises ModesError where some motion has neither stiffness nor mass."""
+        try:
+            tau, psi = linalg.eigh(mass, stiffness + shift * mass)
+        except linalg.LinAlgError as error:
+            raise ModesError("a motion of the model has neither stiffness nor mass") from error
         tau, psi = np.maximum(tau[::-1], 0.0), psi[:, ::-1]
         return cls(psi, tau, dofs @ psi, np.zeros(tau.size), shift)
 
@@ -142,27 +154,27 @@ class FrfModes:
         """u, (n_modes,)."""
         return np.asarray(np.sqrt(np.maximum(self.tau - self.shift * self.tau**2, 0.0)))
 
-    def gained(self, omega: Floats, dofs: Integers | int) -> Complexes:
-        """y at circular frequencies (n_lines,), of one degree of freedom or at each its own
-        (n_lines,), rows of `seen`: (n_lines, n_modes)."""
+    def lines(self, omega: Floats, outputs: Integers | int, forces: Integers | int) -> FrfLines:
+        """The functions of sensors and forces, rows of `seen`: one, or one a frequency (n_lines,).
+
+        omega: (n_lines,), circular frequencies.
+        """
         w = omega[:, None]
-        d = 2.0 * self.damping * self.root
-        inverse = 1.0 - (w**2 + self.shift) * self.tau + 1j * w * d
+        damped = 1j * w * (2.0 * self.damping * self.root)
+        inverse = 1.0 - (w**2 + self.shift) * self.tau + damped
+        ends = [np.broadcast_to(dofs, omega.shape) for dofs in (outputs, forces)]
         if not self.viscous.size:
-            return np.asarray(self.seen[dofs] / inverse)
-        found, each = np.empty(inverse.shape, np.complex128), np.broadcast_to(dofs, omega.shape)
+            left, right = (np.asarray(self.seen[dofs] / inverse) for dofs in ends)
+            return FrfLines(self, omega, left, right, ends[1])
+        found = [np.empty(inverse.shape, np.complex128) for _ in ends]
         for line in np.unique(omega):
             rows = np.flatnonzero(omega == line)
             z = np.diag(inverse[rows[0]]) + 1j * (line * self.viscous + self.structural)
-            wanted, place = np.unique(each[rows], return_inverse=True)
-            found[rows] = np.linalg.solve(z, self.seen[wanted].T).T[place]
-        return found
-
-    def receptance(
-        self, omega: Floats, outputs: Integers | int, forces: Integers | int
-    ) -> Complexes:
-        """H of sensors and forces, as `gained` has them, (n_lines,), in the deck's units."""
-        return np.asarray(np.sum(self.gained(omega, outputs) * self.seen[forces], axis=1))
+            wanted, place = np.unique([dofs[rows] for dofs in ends], return_inverse=True)
+            gained = np.linalg.solve(z, self.seen[wanted].T).T
+            for own, places in zip(found, place.reshape(2, rows.size), strict=True):
+                own[rows] = gained[places]
+        return FrfLines(self, omega, found[0], found[1], ends[1])
 
     def change(
         self,
@@ -187,31 +199,42 @@ class FrfModes:
         own = self.among(damped)
         return a, b, by_rate + own.viscous, own.structural
 
-    def slope(
-        self,
-        omega: Floats,
-        outputs: Integers | int,
-        forces: Integers | int,
-        change: tuple[Floats, ...],
-    ) -> Complexes:
-        """dH of sensors and forces, as `gained` has them, (n_lines,)."""
-        left, right = self.gained(omega, outputs), self.gained(omega, forces)
+
+@dataclass(frozen=True, slots=True)
+class FrfLines:
+    """Response functions at frequencies, in the deck's units.
+
+    omega: (n_lines,), circular. left, right: (n_lines, n_modes), y of each sensor and each force.
+    forces: (n_lines,), rows of the modes' `seen`.
+    """
+
+    modes: FrfModes
+    omega: Floats
+    left: Complexes
+    right: Complexes
+    forces: Integers
+
+    @property
+    def receptance(self) -> Complexes:
+        """H, (n_lines,)."""
+        return np.asarray(np.sum(self.left * self.modes.seen[self.forces], axis=1))
+
+    def slope(self, change: tuple[Floats, ...]) -> Complexes:
+        """dH, (n_lines,); change: of `FrfModes.change`."""
         whole = np.hstack(change)  # real, at half the price of complex times real
-        real, imaginary = left.real @ whole, left.imag @ whole
+        real, imaginary = self.left.real @ whole, self.left.imag @ whole
         n = len(change)
         stiff, mass, damp, *lost = (
-            np.sum((u + 1j * v) * right, axis=1)
+            np.sum((u + 1j * v) * self.right, axis=1)
             for u, v in zip(np.split(real, n, 1), np.split(imaginary, n, 1), strict=True)
         )
-        found = (omega**2 + self.shift) * mass - stiff - 1j * omega * damp
+        found = (self.omega**2 + self.modes.shift) * mass - stiff - 1j * self.omega * damp
         return np.asarray(found - 1j * lost[0] if lost else found)
 
-    def slope_by_damping(
-        self, omega: Floats, outputs: Integers | int, forces: Integers | int, ratios: Floats
-    ) -> Complexes:
+    def slope_by_damping(self, ratios: Floats) -> Complexes:
         """The same where the modes' ratios change by these, (n_modes,), as `damped` takes them."""
-        both = self.gained(omega, outputs) * self.gained(omega, forces)
-        return np.asarray(-2j * omega * (both @ (self.root * self.damped(ratios).damping)))
+        change = self.modes.root * self.modes.damped(ratios).damping
+        return np.asarray(-2j * self.omega * ((self.left * self.right) @ change))
 
 
 def near(

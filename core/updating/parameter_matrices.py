@@ -229,22 +229,14 @@ class ParameterMatrices:
 
     def on(self, vectors: Floats) -> ParameterMatrices:
         """On the space of these vectors (n_equations, r), whose numbers are its unknowns."""
-
-        def small(matrix: Floats) -> sparse.csr_array:
-            return sparse.csr_array(np.triu(matrix))
-
-        numbers, wholes, parts = np.arange(vectors.shape[1]), [], []
-        for upper, of in (
-            (self.base.upper_stiffness, self.stiffness),
-            (self.base.upper_mass, self.mass),
-        ):
-            wholes.append(small(projected(upper, vectors)))
-            found = [(p, map(small, p.on(upper, vectors))) for p in of]
-            parts.append(
-                [Powers(p.column, p.powers, tuple(uppers), p.relation) for p, uppers in found]
+        stiffness, mass = (
+            (projected(upper, vectors), [(part, part.on(upper, vectors)) for part in parts])
+            for upper, parts in (
+                (self.base.upper_stiffness, self.stiffness),
+                (self.base.upper_mass, self.mass),
             )
-        few = MatrixResult(wholes[0], wholes[1], numbers, np.ones_like(numbers))
-        return parameter_matrices(few, self.reference, *parts)
+        )
+        return dense_matrices(self.reference, stiffness, mass)
 
     def change(
         self, theta: Floats, column: int, order: int = 1
@@ -305,6 +297,30 @@ def parameter_matrices(
     upper_mass, mass_parts = _placed(base.upper_mass, tuple(mass))
     whole = replace(base, upper_stiffness=upper_stiffness, upper_mass=upper_mass)
     return ParameterMatrices(reference, whole, stiffness_parts, mass_parts)
+
+
+def dense_matrices(
+    reference: Floats,
+    stiffness: tuple[Floats, Iterable[tuple[ParameterPart, Floats]]],
+    mass: tuple[Floats, Iterable[tuple[ParameterPart, Floats]]],
+) -> ParameterMatrices:
+    """The matrices of a small model, whose unknowns have numbers from 0.
+
+    stiffness, mass: (r, r) at the reference (n_parameters,), and the values (n_powers, r, r) of
+    each part.
+    """
+
+    def upper(matrix: Floats) -> sparse.csr_array:
+        return sparse.csr_array(np.triu(matrix))
+
+    numbers = np.arange(stiffness[0].shape[0])
+    base = MatrixResult(upper(stiffness[0]), upper(mass[0]), numbers, np.ones_like(numbers))
+    parts = (
+        [Powers(part.column, part.powers, tuple(map(upper, values)), part.relation)
+         for part, values in own]
+        for _, own in (stiffness, mass)
+    )  # fmt: skip
+    return parameter_matrices(base, reference, *parts)
 
 
 def fit_powers(

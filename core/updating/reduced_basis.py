@@ -78,6 +78,7 @@ from modetune.core.updating.parameter_matrices import (
     ParameterMatrices,
     ParameterMatrix,
     columns_of,
+    dense_matrices,
     factors_moved,
     factors_slopes,
 )
@@ -168,6 +169,13 @@ class ReducedModel:
                 if factors.any():
                     whole += np.tensordot(factors, part.values, axes=1)
         return stiffness, mass
+
+    def matrices(self) -> ParameterMatrices:
+        """The model as matrices of r equations."""
+        stiffness, mass = ([(part, part.values) for part in parts]
+                           for parts in (self.stiffness, self.mass))  # fmt: skip
+        own = (self.base_stiffness, stiffness), (self.base_mass, mass)
+        return dense_matrices(self.reference, *own)
 
     def modes(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """The lowest modes at these values (n_parameters,).

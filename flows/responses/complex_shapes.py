@@ -11,7 +11,12 @@ from pydantic import Field
 from modetune.adapters.yaml_file import Place
 from modetune.core.updating.damped_pairs import DampedPairs
 from modetune.core.updating.responses.complex_shapes import ComplexShapes
-from modetune.flows.responses.response import ModewiseSection, TestedModel, nothing_seen, observer
+from modetune.flows.responses.response import (
+    ModewiseSection,
+    SensorObserver,
+    TestedModel,
+    nothing_seen,
+)
 from modetune.flows.responses.section import Positive
 
 
@@ -28,7 +33,9 @@ class ComplexSection(ModewiseSection):
         found = given.complex_shapes
         return ComplexShapes(
             np.zeros((0, len(numbers)), dtype=np.complex128) if found is None else found,
-            nothing_seen if sensors is None else observer("complex shapes", sensors, given.deck),
+            nothing_seen
+            if sensors is None
+            else SensorObserver("complex shapes", sensors, given.deck),
             self.weights(numbers),
             self.deviation,
             self.mac,

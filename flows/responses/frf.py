@@ -17,10 +17,10 @@ from modetune.core.updating.responses.frf import Frf, FrfCurve, fracs
 from modetune.core.updating.responses.response import Residual
 from modetune.flows.responses.response import (
     ResponseSection,
+    SensorObserver,
     TestedModel,
     Variables,
     nothing_seen,
-    observer,
 )
 from modetune.flows.responses.section import OTHERS, Name, NotNegative, Positive, Share, by_mode
 
@@ -89,7 +89,9 @@ class FrfSection(ResponseSection):
     def response(self, given: TestedModel) -> Frf:
         curves = self._curves(given)
         observe = (
-            observer("response functions", given.seen, given.deck) if given.seen else nothing_seen
+            SensorObserver("response functions", given.seen, given.deck)
+            if given.seen
+            else nothing_seen
         )
         variables = {
             item.name: Linear(item.origin, item.scale, column)

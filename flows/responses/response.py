@@ -8,7 +8,7 @@ derivatives of shapes, the test's response functions on the model.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
@@ -138,20 +138,24 @@ def of_modes(given: Mapping[str, float], numbers: Iterable[int]) -> dict[int, fl
     return {n: value for n, value in found if value is not None}
 
 
-def observer(what: str, seen: SensorMap, deck: Deck) -> Callable[[MatrixResult], sparse.csr_array]:
-    """Return a function that gives the sensors' rows (n_sensors, n_equations) for matrices.
+@dataclass(frozen=True, slots=True)
+class SensorObserver:
+    """Gives the rows of sensors, (n_sensors, n_equations), for matrices of a deck.
 
-    what: is compared there, for messages. The function raises ModelError.
+    what: is compared there, for messages.
     """
 
-    def observe(here: MatrixResult) -> sparse.csr_array:
-        observed = sensor_observation(seen, partial(deck.observation, here))
-        for row in np.flatnonzero(observed.unknown)[:1].tolist():
-            dof = dof_name((int(seen.nodes[row]), int(seen.components[row])))
-            raise ModelError(f"{what}: {dof} does not follow from the matrices' unknowns")
-        return observed.matrix
+    what: str
+    seen: SensorMap
+    deck: Deck
 
-    return observe
+    def __call__(self, here: MatrixResult) -> sparse.csr_array:
+        """Return the rows. Raises ModelError."""
+        observed = sensor_observation(self.seen, partial(self.deck.observation, here))
+        for row in np.flatnonzero(observed.unknown)[:1].tolist():
+            dof = dof_name((int(self.seen.nodes[row]), int(self.seen.components[row])))
+            raise ModelError(f"{self.what}: {dof} does not follow from the matrices' unknowns")
+        return observed.matrix
 
 
 def nothing_seen(here: MatrixResult) -> sparse.csr_array:

@@ -29,7 +29,7 @@ from modetune.core.errors import ModesError
 from modetune.core.measurement.response_functions import Complexes, frac
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.damping_model import DampingModel, Linear
-from modetune.core.updating.frf_modes import REACH, FrfModes, near
+from modetune.core.updating.frf_modes import REACH, FrfLines, FrfModes, near
 from modetune.core.updating.responses.response import (
     MatricesAt,
     ModelState,
@@ -155,7 +155,8 @@ class Frf:
         return frozenset({"matrices"} if self.dampers is None else {"matrices", "losses"})
 
     def residual(self, state: ModelState) -> Residual:
-        ratios = np.log(self._each("receptances") / self._computed(self._modes(state)[0]))
+        lines = self._modes(state)[0].lines(*self._lines)
+        ratios = np.log(self._each("receptances") / self._computed(lines))
         variances = self._each("variances") + self.deviation**2
         values = self._parts(ratios)
         return residual_of(
@@ -170,15 +171,16 @@ class Frf:
 
     def sensitivity(self, state: ModelState, derivatives: StateDerivatives) -> Floats:
         modes, matrices = self._modes(state)
-        computed, (omega, outputs, forces) = self._computed(modes), self._lines
+        lines = modes.lines(*self._lines)
+        computed = self._computed(lines)
         rows = []
         for column in derivatives.columns:
             change = modes.change(*matrices.changes(column))
-            slope = modes.slope(omega, outputs, forces, change)
+            slope = lines.slope(change)
             slopes = methodcaller("change", matrices.given.theta, column)
             damping = self._of_modes(state, modes, slopes, 0.0)
             if damping.any():
-                slope += modes.slope_by_damping(omega, outputs, forces, damping)
+                slope += lines.slope_by_damping(damping)
             rows.append(self._parts(slope / computed))
         return np.reshape(rows, (len(rows), -1)).T
 
@@ -195,9 +197,9 @@ class Frf:
     def _each(self, name: str) -> NDArray[Any]:
         return np.concatenate([getattr(curve, name) for curve in self.curves])
 
-    def _computed(self, modes: FrfModes) -> Complexes:
+    def _computed(self, lines: FrfLines) -> Complexes:
         """Return H at all lines. Raises ModesError where the model does not respond."""
-        values = modes.receptance(*self._lines)
+        values = lines.receptance
         still = np.flatnonzero(values == 0.0)
         if still.size:
             place = np.cumsum([curve.frequencies_hz.size for curve in self.curves])

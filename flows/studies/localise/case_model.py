@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -15,12 +17,13 @@ from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import ModelError, ModesError
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import Parameter, ParameterSet
-from modetune.core.updating.candidates import AttachedModel, attached_model
+from modetune.core.updating.candidates import AttachedModel, Term, attached_model
 from modetune.core.updating.job_results import ModalResult
-from modetune.core.updating.minima import Misfit, MisfitAt
+from modetune.core.updating.minima import Misfit, MisfitAt, polished
+from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced_basis import ReducedModel, reduce, unreduced
 from modetune.core.updating.residual import residual_sensitivity
-from modetune.core.updating.responses.response import Residual, StateDerivatives
+from modetune.core.updating.responses.response import MatricesAt, Residual, StateDerivatives
 from modetune.core.updating.rigid_motions import rigid_motions
 from modetune.core.updating.sensitivity import ModeDerivatives
 from modetune.flows.campaign.campaign import Campaign
@@ -30,6 +33,14 @@ from modetune.flows.studies.localise.changes import (
     LoadPlaces,
     ModelChange,
     ReleasedGroup,
+)
+from modetune.flows.studies.localise.reduced_responses import (
+    answers,
+    damping_at,
+    damps,
+    kept_loads,
+    on_reduced,
+    seen_nodes,
 )
 from modetune.flows.studies.localise.releases import released_model
 from modetune.flows.updating.evaluation import CaseEvaluation, at_sensors, compare, model_state
@@ -60,7 +71,8 @@ class CaseModel:
     case: comparing all measured frequencies and shapes. columns: of its own parameters among the
     campaign's. theta: (n_columns,), the model's at the examined state, groups behind. known: the
     case there. rows: nodes and components of the model's rows. mass: about that of the model.
-    released: supports and links that may yield, as loads behind the others.
+    n_loads: of places and kept ones. released: supports and links that may yield, loads behind
+    these.
     """
 
     case: Case
@@ -70,27 +82,60 @@ class CaseModel:
     loaded: AttachedModel
     rows: tuple[Integers, Integers]
     mass: float
+    n_loads: int
     released: tuple[ReleasedGroup, ...]
 
-    def compared(self, model: ReducedModel, theta: Floats) -> CaseEvaluation:
+    def changed(self, terms: Sequence[Term], n_amplitudes: int = 0) -> ChangedCase:
+        """Return the case with a change, as of `AttachedModel.changed`."""
+        model = self.loaded.changed(terms, n_amplitudes)
+        compared = on_reduced(self.case.compared, model, self.rows)
+        needed = any(item.needs - {"shapes"} for item in compared)
+        matrices = model.matrices() if needed else None
+        return ChangedCase(self, replace(self.case, compared=compared), model, matrices)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedCase:
+    """A case with a change of its model.
+
+    case: with responses of the changed model. matrices: that model's, where a response needs them.
+    """
+
+    of: CaseModel
+    case: Case
+    model: ReducedModel
+    matrices: ParameterMatrices | None
+
+    @property
+    def by_modes(self) -> ChangedCase:
+        """Return the same without responses that need matrices."""
+        own = tuple(item for item in self.case.compared if not answers(item))
+        return replace(self, case=replace(self.case, compared=own), matrices=None)
+
+    def compared(self, theta: Floats) -> CaseEvaluation:
         """Return the comparison at values of the model's columns. Raises ModesError, LostMode."""
-        known = self.known
-        eigenvalues, shapes = model.modes(theta, known.modal.modes.n_modes)
+        known = self.of.known
+        eigenvalues, shapes = self.model.modes(theta, known.modal.modes.n_modes)
         first = float(known.modal.eigenvalues[known.modal.n_rigid])
         n_rigid = min(known.modal.n_rigid, int(np.sum(eigenvalues < RIGID * first)))
         # What yields may leave the model almost loose, with eigenvalues that are rounding.
         eigenvalues[n_rigid:] = np.maximum(eigenvalues[n_rigid:], LOOSE * first)
-        modal = ModalResult.of_shapes(eigenvalues, shapes, *self.rows, 0.5 * eigenvalues, n_rigid)
-        return compare(self.case, theta, "", modal, known, REDUCED)
+        rows = self.of.rows
+        modal = ModalResult.of_shapes(eigenvalues, shapes, *rows, 0.5 * eigenvalues, n_rigid)
+        at = None if self.matrices is None else MatricesAt(self.matrices, theta)
+        return compare(self.case, theta, "", modal, known, REDUCED, matrices=at)
 
 
 def all_data(case: Case) -> Case:
-    """Return a case that compares all measured frequencies and shapes."""
+    """Return a case that compares all measured data that a reduced model answers for."""
     weighting = case.weighting
     if case.test.has_shapes and not weighting.with_shapes:
         ones = np.ones_like(weighting.shape_weights)
         weighting = replace(weighting, shape_weights=ones)
-    compared = tuple(item for item in case.compared if not item.needs - {"shapes"})
+    if not weighting.frequencies_used.any():
+        ones = np.ones_like(weighting.frequency_weights)
+        weighting = replace(weighting, frequency_weights=ones)
+    compared = tuple(item for item in case.compared if not item.needs - {"shapes"} or answers(item))
     return replace(case, weighting=weighting, compared=compared, held_out=None)
 
 
@@ -107,6 +152,9 @@ def case_model(
     quantities: further ones, behind the case's own parameters. places: of loads.
     """
     own, deck = state.campaign.parameters, state.case.solver.deck
+    dampers: tuple[sparse.csr_array, ...] = ()
+    if part.matrices is not None and any(map(damps, all_data(state.case).compared)):
+        dampers = damping_at(deck, part.matrices)
     if quantities:
         deck = deck.with_parameters(tuple(quantities))
         bound = replace(state.case.solver, deck=deck)
@@ -124,13 +172,15 @@ def case_model(
     _check_size(affine.base)
     size = affine.base.nodes.size
     written, case = source.written(theta), all_data(state.case)
-    rows = named_freedoms(case.nodes, np.array(case.rotation_nodes, dtype=np.int64))
+    nodes, turning = seen_nodes(case.compared)
+    rows = named_freedoms(
+        tuple({*case.nodes, *nodes}), np.array([*case.rotation_nodes, *turning], dtype=np.int64)
+    )
     observer = observer_of(state.campaign, affine.base, *rows)
-    seen = deck.observation(affine.base, places.load_nodes, places.load_components)
-    loads = sparse.csr_array(seen.matrix.T)
     here = affine.at(written)
     solver = ModeSolver(count=False)
-    n_modes = min(part.modal.modes.n_modes + MORE_MODES, size)
+    massive = int(np.count_nonzero(here.upper_mass.diagonal()))
+    n_modes = min(part.modal.modes.n_modes + MORE_MODES, massive)
     solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
     shift = solved.shift
     if size <= SMALL or not solver.inverts_exactly:
@@ -146,13 +196,17 @@ def case_model(
         )  # fmt: skip
     modes = solved.eigenvalues, solved.shapes
     freed = released_model(
-        campaign, evaluator, state, parameters, theta, here, modes, places, rows, solver.inverse,
-        shift,
+        campaign, evaluator, state, case, parameters, theta, here, modes, places, rows,
+        solver.inverse, shift,
     )  # fmt: skip
     released, groups = freed or (None, ())
+    seen = deck.observation(affine.base, places.load_nodes, places.load_components)
+    kept = kept_loads(case.compared, rows, observer, dampers, solved.shapes)
+    loads = sparse.csr_array(sparse.hstack([seen.matrix.T, kept]))
     loaded = attached_model(
-        affine, model, basis, observer, solver.inverse, loads, released, (written, shift)
-    )
+        affine, model, basis, observer, solver.inverse, loads, released, (written, shift),
+        np.arange(seen.matrix.shape[0], loads.shape[1]), dampers,
+    )  # fmt: skip
     known = CaseModel(
         case=case,
         columns=state.columns,
@@ -161,9 +215,10 @@ def case_model(
         loaded=loaded,
         rows=rows,
         mass=_mass(here, deck),
+        n_loads=loads.shape[1],
         released=groups,
     )
-    return replace(known, known=known.compared(loaded.changed(()), written))
+    return replace(known, known=known.changed(()).compared(written))
 
 
 def _check_size(matrices: MatrixResult | None) -> None:
@@ -197,12 +252,31 @@ class ChangeMisfit(Misfit):
         self.lower = np.log(np.concatenate([np.maximum(bounds.lower, tiny), extra[0]]))
         self.upper = np.log(np.concatenate([bounds.upper, extra[1]]))
         if change is None:
-            self.models = [item.loaded.changed(()) for item in cases]
+            self.changed = [item.changed(()) for item in cases]
         else:
             n = change.lower.size if change.group < 0 else 0
             own = zip(cases, change.terms, strict=True)
-            self.models = [item.loaded.changed(terms, n) for item, terms in own]
+            self.changed = [item.changed(terms, n) for item, terms in own]
         self.n_evaluations = 0
+
+    @cached_property
+    def by_modes(self) -> ChangeMisfit:
+        """Return the misfit of modes alone; this one where nothing else is compared."""
+        if all(each.matrices is None for each in self.changed):
+            return self
+        found = copy(self)
+        found.changed = [each.by_modes for each in self.changed]
+        return found
+
+    def least(self, x: Floats) -> tuple[Floats, float]:
+        """Return the minimum near a point, and the misfit there.
+
+        Logarithms of response functions have a minimum wherever resonances pass each other, so
+        modes lead to the point from which all data decide.
+        """
+        if self.by_modes is not self:
+            x, _ = polished(self.by_modes, x)
+        return polished(self, x)
 
     def columns(self, case: CaseModel) -> Integers:
         """Return the model's columns of the case's parameters and the amplitudes."""
@@ -224,25 +298,21 @@ class ChangeMisfit(Misfit):
     def _added(self) -> bool:
         return self.change is not None and self.change.group < 0
 
-    def parts(
-        self, x: Floats
-    ) -> list[tuple[CaseModel, ReducedModel, Floats, CaseEvaluation]] | None:
+    def parts(self, x: Floats) -> list[tuple[ChangedCase, CaseEvaluation]] | None:
         """Return the comparison of each case, None where a mode is lost."""
         values = np.exp(x)
         self.n_evaluations += 1
         try:
-            return [
-                (case, model, theta, case.compared(model, theta))
-                for case, model in zip(self.cases, self.models, strict=True)
-                for theta in [self.at(case, values)]
-            ]
+            return [(each, each.compared(self.at(each.of, values))) for each in self.changed]
         except (LostMode, ModesError):
             return None
 
     def residual(self, x: Floats) -> Floats | None:
         """Return the residual in standard deviations of the measurement."""
         parts = self.parts(x)
-        return None if parts is None else np.concatenate([_normal(p[3].residual) for p in parts])
+        return (
+            None if parts is None else np.concatenate([_normal(part.residual) for _, part in parts])
+        )
 
     def value(self, x: Floats) -> float:
         found = self.residual(x)
@@ -254,16 +324,16 @@ class ChangeMisfit(Misfit):
         if parts is None:
             return None
         values, rows, own = np.exp(x), [], []
-        for case, model, theta, part in parts:
+        for each, part in parts:
+            case, theta = each.of, part.theta
             columns = self.columns(case)
             paired = part.pairing.computed + part.modal.n_rigid
             shapes = np.real(part.modal.modes.mode_shapes[:, paired])
-            whole = model.derivatives(theta, paired, shapes)
+            whole = each.model.derivatives(theta, paired, shapes)
             found = ModeDerivatives(whole.eigenvalues[:, columns], whole.mode_shapes[:, :, columns])
-            state = model_state(case.case, part.seen, part.pairing, part.modal, None)
-            seen = at_sensors(case.case, part, found)
-            every = tuple(range(columns.size))
-            of = StateDerivatives(seen, every, found)
+            state = model_state(each.case, part.seen, part.pairing, part.modal, part.matrices)
+            seen = at_sensors(each.case, part, found)
+            of = StateDerivatives(seen, tuple(columns.tolist()), found)
             slopes = np.zeros((part.residual.values.size, x.size))
             places = np.concatenate([case.columns, np.arange(self.n_own, x.size)])
             slopes[:, places] = -residual_sensitivity(part.responses, state, of) * values[places]

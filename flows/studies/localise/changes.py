@@ -112,7 +112,7 @@ def places_of(cases: Sequence[Case]) -> LoadPlaces:
     if not numbers.size:  # matrices have no geometry
         numbers = np.array(sorted(deck.summary.node_ids), dtype=np.int64)
         coordinates = np.stack([numbers.astype(np.float64)] + 2 * [np.zeros(numbers.size)], axis=1)
-    held = {node for node, axes in fixed.items() if len(axes) > 2}
+    held = {node for node, axes in fixed.items() if set(components) <= set(axes)}
     rows = np.flatnonzero(~np.isin(numbers, list(held)))
     numbers, coordinates = numbers[rows], coordinates[rows]
     sensors = tuple(
@@ -161,13 +161,14 @@ def changes_of(
     places: LoadPlaces,
     loaded: Sequence[AttachedModel],
     released: Sequence[Sequence[ReleasedGroup]],
+    n_loads: Sequence[int],
     mass: float,
     groups: Sequence[Parameter],
 ) -> Iterator[ModelChange]:
     """Yield all changes of some cases.
 
-    released: supports and links of each case that may yield, whose columns are loads behind those
-    of the places. mass: of the model. groups: quantities behind the cases' own parameters.
+    released: supports and links of each case that may yield, whose columns are loads behind the
+    `n_loads` others. mass: of the model. groups: quantities behind the cases' own parameters.
     """
     mesh = cases[0].solver.deck.mesh()
     names = list(zip(places.load_nodes.tolist(), places.load_components.tolist(), strict=True))
@@ -181,7 +182,7 @@ def changes_of(
     yield from _masses(places, rows, mass, size)
     yield from _springs(places, rows, loaded)
     yield from _absorbers(places, rows, mass, band)
-    yield from _yielding(released, places.load_nodes.size, loaded)
+    yield from _yielding(released, n_loads, loaded)
     for number, item in enumerate(groups):
         bounds = np.array([FACTORS[0]]), np.array([FACTORS[1]])
         label = f"{item.quantity.replace('_', ' ')} of {', '.join(item.targets)}"
@@ -250,12 +251,14 @@ def _springs(
 
 
 def _yielding(
-    released: Sequence[Sequence[ReleasedGroup]], n_loads: int, loaded: Sequence[AttachedModel]
+    released: Sequence[Sequence[ReleasedGroup]],
+    n_loads: Sequence[int],
+    loaded: Sequence[AttachedModel],
 ) -> Iterator[ModelChange]:
     """Yield what may yield; of the same label in several cases it is the same thing."""
     known: dict[str, ModelChange] = {}
-    for place, (groups, model) in enumerate(zip(released, loaded, strict=True)):
-        whole, own = model.whole, slice(model.size + n_loads, None)
+    for place, (groups, first, model) in enumerate(zip(released, n_loads, loaded, strict=True)):
+        whole, own = model.whole, slice(model.size + first, None)
         energy = whole.base_stiffness[own, own] - whole.shift * whole.base_mass[own, own]
         resists = np.diag(energy)
         largest = {
@@ -264,7 +267,7 @@ def _yielding(
             for turning in (False, True)
         }  # fmt: skip
         for group in groups:
-            loads = tuple(n_loads + column for column in group.columns)
+            loads = tuple(first + column for column in group.columns)
             columns = np.array(group.columns)
             stiffness = float(np.median(resists[columns]))  # of the rest of the model
             if stiffness <= NOTHING * largest[group.component > 3]:

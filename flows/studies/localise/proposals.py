@@ -34,6 +34,7 @@ from modetune.flows.studies.localise.changes import (
 )
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
+from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import CaseState
 
 logger = logging.getLogger(__name__)
@@ -137,6 +138,7 @@ def search_of(
         places,
         [item.loaded for item in cases],
         [item.released for item in cases],
+        [item.n_loads for item in cases],
         cases[0].mass,
         groups,
     )
@@ -178,10 +180,24 @@ def _groups(states: Sequence[CaseState]) -> tuple[Parameter, ...]:
     )[:GROUPS]
 
 
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """The best point of a change: log parameters and log amplitudes.
+
+    hessian: half of the misfit's. of_modes: the part of the misfit that modes leave.
+    """
+
+    place: Floats
+    misfit: float
+    hessian: Floats
+    of_modes: float
+
+
 class ChangeSearch:
     """The search for the best changes from a state theta (n_parameters,).
 
     misfit: the chi-square that the parameters alone leave at their best, `place` (logarithms).
+    start: where they leave the least misfit of modes.
     """
 
     def __init__(
@@ -193,41 +209,59 @@ class ChangeSearch:
     ) -> None:
         self.cases, self.parameters, self.changes = cases, campaign.parameters, changes
         without = self.trial(None)
-        start = np.clip(np.log(theta), without.lower, without.upper)
-        self.place, self.misfit = polished(without, start)
-        found = without.slopes(self.place)
-        parts = without.parts(self.place)
+        here = np.clip(np.log(theta), without.lower, without.upper)
+        self.start, _ = polished(without.by_modes, here)
+        starts = [self.start] if without.by_modes is without else [self.start, here]
+        ends = [polished(without, start) for start in starts]
+        self.place, self.misfit = min(ends, key=lambda item: item[1])
+        found, whole = without.by_modes.slopes(self.start), without.slopes(self.place)
+        parts, of_modes = without.parts(self.place), without.by_modes.parts(self.start)
         assert found is not None
+        assert whole is not None
         assert parts is not None
-        self.base, self.slopes = found
+        assert of_modes is not None
+        self.base, slopes = found
+        self.hessian = whole[1].T @ whole[1]
         self.width = without.upper - without.lower
-        self.freedom = sum(p[3].residual.n_independent for p in parts) - self.place.size
+        self.freedom, self._freedom_of_modes = (
+            sum(part.residual.n_independent for _, part in own) - self.place.size
+            for own in (parts, of_modes)
+        )
         # A parameter answers within its bounds, as a standard deviation of a uniform prior.
         prior = np.diag(np.sqrt(12.0) / np.minimum(self.width, 1e3))
-        self._answers = np.linalg.qr(np.vstack([self.slopes, prior]))[0]
+        self._answers, self._root = np.linalg.qr(np.vstack([slopes, prior]))
 
     def trial(self, change: ModelChange | None) -> ChangeMisfit:
         return ChangeMisfit(self.cases, change, self.parameters)
 
-    def free(self, residual: Floats) -> Floats:
-        """Return what the parameters leave of a residual by their linear answer."""
-        whole = np.concatenate([residual, np.zeros(self.place.size)])
-        return np.asarray(whole - self._answers @ (self._answers.T @ whole))
+    def free(self, residual: Floats) -> tuple[Floats, Floats]:
+        """Return what the parameters leave of a residual by their linear answer, and that."""
+        whole = np.concatenate([residual, np.zeros(self.start.size)])
+        along = self._answers.T @ whole
+        return whole - self._answers @ along, -np.linalg.solve(self._root, along)
 
     def screened(self, change: ModelChange) -> tuple[float, Floats]:
-        """Return about the least misfit with a change, and log amplitudes for it."""
+        """Return about the least misfit with a change, and log amplitudes for it.
+
+        Modes alone give the amplitudes and the parameters' answer; all data judge the result.
+        """
         trial, best = self.trial(change), (np.inf, _grid(change)[0])
         tried: list[tuple[float, Floats]] = []
         if change.group < 0 and not change.constrained:  # nothing is changed at zero
-            tried.append((0.0, self.free(self.base)))
+            tried.append((0.0, self.free(self.base)[0]))
 
         def value(at: Floats) -> tuple[float, Floats]:
-            found = trial.residual(np.concatenate([self.place, at]))
+            found = trial.by_modes.residual(np.concatenate([self.start, at]))
             if found is None or found.size != self.base.size:
                 return np.inf, at
-            here = self.free(found)
+            here, answer = self.free(found)
             tried.append((float(np.exp(at[0])), here))
-            return float(here @ here), at
+            if trial.by_modes is trial:
+                return float(here @ here), at
+            own = np.clip(
+                self.start + answer, trial.lower[: answer.size], trial.upper[: answer.size]
+            )
+            return trial.value(np.concatenate([own, at])), at
 
         for at in _grid(change):
             best = min(best, value(at), key=lambda item: item[0])
@@ -239,27 +273,31 @@ class ChangeSearch:
             best = min(best, value(there), key=lambda item: item[0])
         return best
 
-    def refined(
-        self, change: ModelChange, amplitudes: Floats
-    ) -> tuple[Floats, float, Floats] | None:
-        """Return the best point of a change, its misfit, and half of the misfit's Hessian."""
+    def refined(self, change: ModelChange, amplitudes: Floats) -> Refined | None:
+        """Return the best point of a change; None where a mode is lost there."""
         trial = self.trial(change)
-        place, misfit = polished(trial, np.concatenate([self.place, amplitudes]))
+        place, misfit = trial.least(np.concatenate([self.start, amplitudes]))
         if misfit > self.misfit:  # far from the least one; a small change leaves what there is
             none = _grid(change)[-1 if change.constrained else 0]
             place, misfit = polished(trial, np.concatenate([self.place, none]))
         found = trial.slopes(place)
-        return None if found is None else (place, misfit, found[1].T @ found[1])
+        if found is None:
+            return None
+        return Refined(place, misfit, found[1].T @ found[1], trial.by_modes.value(place))
 
     def ranked(self, tell: Callable[[str], None] = lambda text: None) -> Proposals:
         """Return the changes in the order of their probability."""
+        with one_thread():
+            return self._ranked(tell)
+
+    def _ranked(self, tell: Callable[[str], None]) -> Proposals:
         changes, screened = self.changes, []
         for number, change in enumerate(changes):
             if number % 50 == 0:
                 tell(f"changes: {number} of {len(changes)}")
             screened.append(self.screened(change))
         order = sorted(range(len(changes)), key=lambda n: screened[n][0])
-        refined: dict[int, tuple[Floats, float, Floats]] = {}
+        refined: dict[int, Refined] = {}
         least, batch, left = self.misfit, _chosen(changes, order), list(order)
         for _ in range(TIMES):
             for n in batch:
@@ -267,18 +305,19 @@ class ChangeSearch:
                 found = self.refined(changes[n], screened[n][1])
                 if found is not None:
                     refined[n] = found
-                    least = min(least, found[1])
+                    least = min(least, found.misfit)
             left = [n for n in left if n not in batch]
-            if least < EXPLAINED * self.freedom:
+            of_modes = min((found.of_modes for found in refined.values()), default=np.inf)
+            if of_modes < EXPLAINED * self._freedom_of_modes:
                 break
             batch = left[:REFINED]
         scale = max(1.0, least / max(self.freedom - 1, 1))
-        none = log_evidence(self.misfit, self.slopes.T @ self.slopes, self.width, scale)
+        none = log_evidence(self.misfit, self.hessian, self.width, scale)
         logs = np.array([-0.5 * item[0] / scale for item in screened])
-        for n, (_, misfit, hessian) in refined.items():
+        for n, found in refined.items():
             width = np.concatenate([self.width, np.log(changes[n].upper / changes[n].lower)])
-            logs[n] = log_evidence(misfit, hessian, width, scale) - none
-        volumes = [logs[n] + 0.5 * item[1] / scale for n, item in refined.items()]
+            logs[n] = log_evidence(found.misfit, found.hessian, width, scale) - none
+        volumes = [logs[n] + 0.5 * item.misfit / scale for n, item in refined.items()]
         others = [n for n in range(len(changes)) if n not in refined]
         logs[others] += float(np.median(volumes)) if volumes else 0.0
         # What was not worth refining is not better than what was.
@@ -292,19 +331,19 @@ class ChangeSearch:
     def _proposals(
         self,
         changes: Sequence[ModelChange],
-        refined: dict[int, tuple[Floats, float, Floats]],
+        refined: dict[int, Refined],
         logs: Floats,
         chances: Floats,
         scale: float,
         prior: Floats,
     ) -> Iterator[Proposal]:
         for n in sorted(refined, key=lambda n: -(logs[n] + prior[n])):
-            place, misfit, hessian = refined[n]
+            place, misfit = refined[n].place, refined[n].misfit
             # What the test does not determine has the error of its prior, uniform in logarithms.
             width = np.concatenate([self.width, np.log(changes[n].upper / changes[n].lower)])
             prior_hessian = np.diag(12.0 / np.minimum(width, 1e3) ** 2)
-            covariance = np.linalg.inv(hessian / scale + prior_hessian)
-            own = self.place.size
+            covariance = np.linalg.inv(refined[n].hessian / scale + prior_hessian)
+            own = self.start.size
             yield Proposal(
                 change=changes[n],
                 amplitudes=np.exp(place[own:]),
@@ -316,8 +355,8 @@ class ChangeSearch:
                 probability=float(chances[n]),
                 alike=tuple(
                     changes[m].label
-                    for m in sorted(refined, key=lambda m: refined[m][1])
-                    if m != n and abs(refined[m][1] - misfit) < ALIKE * scale
+                    for m in sorted(refined, key=lambda m: refined[m].misfit)
+                    if m != n and abs(refined[m].misfit - misfit) < ALIKE * scale
                 ),
             )
 

@@ -17,9 +17,12 @@ from modetune.core.mesh import Mesh, part_labels
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import ParameterSet
 from modetune.core.updating.candidates import Released, dynamic_forces, static_motion
+from modetune.core.updating.responses.response import MatricesAt
 from modetune.flows.campaign.campaign import Campaign
+from modetune.flows.campaign.case import Case
 from modetune.flows.jobs.job import Plans
 from modetune.flows.studies.localise.changes import AXES, LoadPlaces, ReleasedGroup
+from modetune.flows.studies.localise.reduced_responses import damping_at, damps, kept_loads
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import CaseState
@@ -41,6 +44,7 @@ def released_model(
     campaign: Campaign,
     evaluator: Evaluator,
     state: CaseState,
+    case: Case,
     parameters: ParameterSet,
     theta: Floats,
     base: MatrixResult,
@@ -52,11 +56,12 @@ def released_model(
 ) -> tuple[Released, tuple[ReleasedGroup, ...]] | None:
     """Return a case's model without supports and links, None where it has none or cannot be had.
 
-    theta: (n_columns,), values of the parameters; base: the constrained model there; modes: its
-    eigenvalues (n_modes,) and shapes (n, n_modes). rows: nodes and components that are compared.
-    inverse: (K - s M)^-1 of it, s the shift.
+    case: with the responses that are compared. theta: (n_columns,), values of the parameters; base:
+    the constrained model there; modes: its eigenvalues (n_modes,) and shapes (n, n_modes). rows:
+    nodes and components that are compared. inverse: (K - s M)^-1 of it, s the shift.
     """
-    deck, case = state.case.solver.deck, state.case
+    deck = case.solver.deck
+    dampers: tuple[sparse.csr_array, ...] = ()
     try:
         freed = deck.released()
         if freed is None:
@@ -69,6 +74,8 @@ def released_model(
         own = replace(state, engine=engine)
         evaluator.carry_out("matrices without supports", source.works(theta, columns), own)
         matrices = source.matrices(theta, columns)
+        if any(map(damps, case.compared)):
+            dampers = damping_at(free, MatricesAt(matrices, theta))
     except (ModelError, SolverRejected, SolverCrashed) as error:  # a mechanism, for example
         logger.info("supports and links are not released: %s", error)
         return None
@@ -93,10 +100,9 @@ def released_model(
     patterns, groups = _patterns(found, here, seen, modes, deck.mesh(), resisted)
     if not groups:
         return None
-    return (
-        Released(matrices, seen, observed.matrix, sparse.csr_array(loads.matrix.T), patterns),
-        groups,
-    )
+    kept = kept_loads(case.compared, rows, observed.matrix, dampers, seen @ modes[1])
+    forces = sparse.csr_array(sparse.hstack([loads.matrix.T, kept]))
+    return Released(matrices, seen, observed.matrix, forces, patterns, dampers), groups
 
 
 def _of_mesh(matrices: MatrixResult, deck: Deck) -> MatrixResult:

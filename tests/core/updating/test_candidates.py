@@ -9,6 +9,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
+from modetune.core.algebra.damped_modes import DampedSystem
 from modetune.core.algebra.factorisation import factorise
 from modetune.core.algebra.matrices import MatrixResult, upper_triangle
 from modetune.core.modes import Floats
@@ -19,6 +20,7 @@ from modetune.core.updating.candidates import (
     attached_model,
     spread_nodes,
 )
+from modetune.core.updating.frf_modes import FrfModes
 from modetune.core.updating.parameter_matrices import ParameterMatrices, Powers, parameter_matrices
 from modetune.core.updating.reduced_basis import reduce
 
@@ -48,8 +50,16 @@ def matrices_of(make: Callable[[float], tuple[Floats, Floats]]) -> ParameterMatr
     return parameter_matrices(given, np.ones(1), [part], [])
 
 
-def loaded(places: list[int], released: Released | None = None) -> AttachedModel:
-    """The chain on a reduced basis, with unit loads at these unknowns."""
+def loaded(
+    places: list[int],
+    released: Released | None = None,
+    kept: tuple[int, ...] = (),
+    dampers: tuple[sparse.csr_array, ...] = (),
+) -> AttachedModel:
+    """The chain on a reduced basis, with unit loads at these unknowns.
+
+    kept, dampers: as of `attached_model`.
+    """
     affine = matrices_of(lambda scale: chain(scale=scale))
     stiffness, mass = chain()
     eigenvalues, shapes = eigh(stiffness, mass, subset_by_index=[0, N_MODES - 1])
@@ -61,8 +71,9 @@ def loaded(places: list[int], released: Released | None = None) -> AttachedModel
     )
     loads = sparse.csr_array(np.eye(N)[:, places])
     return attached_model(
-        affine, model, basis, observer, inverse, loads, released, (np.ones(1), shift)
-    )
+        affine, model, basis, observer, inverse, loads, released, (np.ones(1), shift),
+        np.array(kept, dtype=np.int64), dampers,
+    )  # fmt: skip
 
 
 def full_hz(stiffness: Floats, mass: Floats) -> Floats:
@@ -165,6 +176,44 @@ def test_a_support_yields_from_free_to_rigid(amplitude: float) -> None:
     found = reduced_hz(model, [term], [1.0, amplitude])
     # Twelve modes of the held chain make five of the free one (Craig and Bampton) to (5/12)^8.
     assert found == pytest.approx(1.0 / np.sqrt(inverted) / (2.0 * np.pi), rel=1e-3)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_response_functions_of_a_change_are_those_of_the_full_model(damped: bool) -> None:
+    """A point mass at 40; a force at 20, a sensor at 55, dashpots at both and at 30."""
+    force, sensor, place, mass_added = 20, 55, 40, 6.0
+    dashpots = np.zeros(N)
+    dashpots[[force, 30, sensor]] = 8.0, 5.0, 3.0
+    stiffness, mass = chain()
+    mass[place, place] += mass_added
+    # At rest without forces, all dashpots' own motion is in the responses to loads at them.
+    places = [place, force, sensor, 30]
+    dampers = sparse.csr_array(np.diag(dashpots)), sparse.csr_array((N, N))
+    kept = (1, 2, 3) if damped else (1, 2)
+    model = loaded(places, kept=kept, dampers=dampers if damped else ())
+    changed = model.changed([Term("mass", 0, (0,), np.ones((1, 1)))])
+    few = changed.matrices().at(np.array([1.0, mass_added]))
+    hz = np.linspace(0.5, 0.9 * full_hz(stiffness, mass)[-1], 60)
+    seen = sparse.csr_array(changed.rows[[sensor, force]])
+    system = None
+    if damped:
+        viscous, structural = map(sparse.csr_array, changed.dampers)
+        system = DampedSystem(few.stiffness, few.mass, viscous, structural)
+    modes = FrfModes.of(few, seen, float(hz.max()), COMPARED, system=system)
+    if not damped:
+        modes = modes.damped(np.full(modes.tau.size, 0.01))
+    omega = 2.0 * np.pi * hz
+    found = modes.lines(omega, 0, 1).receptance
+    if damped:
+        dynamic = [stiffness + 1j * w * np.diag(dashpots) - w**2 * mass for w in omega]
+        expected = [np.linalg.inv(own)[sensor, force] for own in dynamic]
+    else:
+        values, shapes = eigh(stiffness, mass)
+        terms = shapes[sensor] * shapes[force]
+        line = values - omega[:, None] ** 2 + 0.02j * np.sqrt(values) * omega[:, None]
+        expected = (terms / line).sum(axis=1)
+    # Modes that the basis lacks are replaced by their static answer: an error of (w / w_13)^4.
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_places_that_the_basis_knows_already_add_no_vectors() -> None:

@@ -75,7 +75,7 @@ def test_values_and_derivatives_are_those_of_full_matrices(free: bool) -> None:
     modes = modes.damped(ratios)
     exact = direct(THETA, free, omega)
     pairs = [(j, k) for j in range(DOFS.size) for k in range(DOFS.size)]
-    found = np.stack([modes.receptance(omega, j, k) for j, k in pairs], axis=1)
+    found = np.stack([modes.lines(omega, j, k).receptance for j, k in pairs], axis=1)
     whole = exact.reshape(omega.size, -1)
     scale = np.abs(whole).max(axis=0)
     # The first that is left out answers with (w / w_r)^2 of its square, after residual vectors.
@@ -87,7 +87,7 @@ def test_values_and_derivatives_are_those_of_full_matrices(free: bool) -> None:
         d_stiffness = sparse.csr_array(np.triu(ahead[0] - behind[0]) / (2.0 * step))
         d_mass = sparse.diags_array((ahead[1] - behind[1]) / (2.0 * step)).tocsr()
         change = modes.change(d_stiffness, d_mass)
-        slopes = np.stack([modes.slope(omega, j, k, change) for j, k in pairs], axis=1)
+        slopes = np.stack([modes.lines(omega, j, k).slope(change) for j, k in pairs], axis=1)
         both = direct(THETA + moved, free, omega) - direct(THETA - moved, free, omega)
         wanted = both.reshape(omega.size, -1) / (2.0 * step)
         assert np.abs(slopes - wanted).max() < 1e-3 * np.abs(wanted).max()
@@ -107,10 +107,10 @@ def test_repeated_modes_have_finite_derivatives() -> None:
     gain = 1.0 / (4.0 - omega**2 + 2j * 0.05 * 2.0 * omega)
     # of k and of c = 2 zeta sqrt(k m)
     wanted = -(gain**2) * (1.0 + 1j * omega * 0.05 / 2.0)
-    assert modes.slope(omega, 0, 0, change) == pytest.approx(wanted, rel=1e-9)
-    assert modes.slope(omega, 1, 1, change) == pytest.approx(np.zeros(2), abs=1e-9)
+    assert modes.lines(omega, 0, 0).slope(change) == pytest.approx(wanted, rel=1e-9)
+    assert modes.lines(omega, 1, 1).slope(change) == pytest.approx(np.zeros(2), abs=1e-9)
     # of zeta of both: c = 4 zeta
-    both = modes.slope_by_damping(omega, 0, 0, np.array([1.0, 1.0, 0.0]))
+    both = modes.lines(omega, 0, 0).slope_by_damping(np.array([1.0, 1.0, 0.0]))
     assert both == pytest.approx(-(gain**2) * 4j * omega, rel=1e-9)
 
 
@@ -177,7 +177,7 @@ def test_slopes_are_those_of_complex_steps_also_where_modes_coincide() -> None:
             sparse.csr_array(np.triu(changed[0])), sparse.csr_array(np.diag(changed[1]))
         )
         for place, output in enumerate((0, 5)):
-            slope = modes.slope(omega, output, 1, change)
+            slope = modes.lines(omega, output, 1).slope(change)
             exact = wanted[:, place] + 1j * wanted[:, 2 + place]
             # rounding: sums of nine modes, with resonances of 1 / (2 zeta) = 50
             assert np.abs(slope - exact).max() < 1e-9 * np.abs(exact).max()
@@ -257,7 +257,7 @@ def test_dampers_and_loss_factors_are_those_of_full_matrices(free: bool) -> None
     pairs = [(j, k) for j in range(DOFS.size) for k in range(DOFS.size)]
 
     def found(by: FrfModes) -> Complexes:
-        return np.stack([by.receptance(omega, j, k) for j, k in pairs], axis=1)
+        return np.stack([by.lines(omega, j, k).receptance for j, k in pairs], axis=1)
 
     whole = case.exact(theta, omega).reshape(omega.size, -1)
     undamped = found(FrfModes.of(here.given.here, dofs, float(hz[-1]), 8))
@@ -276,7 +276,7 @@ def test_dampers_and_loss_factors_are_those_of_full_matrices(free: bool) -> None
         wanted = both.reshape(omega.size, -1) / (2.0 * step)
         for by, matrices in ((modes, here), (small, few)):
             change = by.change(*matrices.changes(column))
-            slopes = np.stack([by.slope(omega, j, k, change) for j, k in pairs], axis=1)
+            slopes = np.stack([by.lines(omega, j, k).slope(change) for j, k in pairs], axis=1)
             assert np.abs(slopes - wanted).max() < 2e-3 * np.abs(wanted).max()
 
 
@@ -313,13 +313,13 @@ def test_a_model_of_few_unknowns_has_the_values_and_slopes_of_the_whole_chain() 
 
     def off(change: float) -> float:
         theta = THETA * (1.0 + change)
-        exact = whole(theta).receptance(omega, 0, 1)
-        return float(np.abs(few(theta).receptance(omega, 0, 1) / exact - 1.0).max())
+        exact = whole(theta).lines(omega, 0, 1).receptance
+        return float(np.abs(few(theta).lines(omega, 0, 1).receptance / exact - 1.0).max())
 
     assert off(0.0) < 2e-4  # as above: the answers to parameters make the modes better
     for column in range(2):
         slopes = [
-            modes.slope(omega, 0, 1, modes.change(*of.change(THETA, column)))
+            modes.lines(omega, 0, 1).slope(modes.change(*of.change(THETA, column)))
             for modes, of in ((few(THETA), small), (here, model))
         ]
         assert np.abs(slopes[0] - slopes[1]).max() < 1e-3 * np.abs(slopes[1]).max()
