@@ -46,7 +46,7 @@ from modetune.adapters.matrices.matrix_files import (
 )
 from modetune.adapters.matrices.model import MATRIX_KINDS, Factors, MatrixModel, MatrixPart
 from modetune.adapters.regular_file import read_regular
-from modetune.adapters.solver import Deck, ModelSummary
+from modetune.adapters.solver import Deck, ModelSummary, Target
 from modetune.adapters.yaml_file import Place, YamlFile, read_yaml
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import CampaignError, ModelError
@@ -117,6 +117,14 @@ class MatrixDeck(Deck):
                 )
             found.append(Number(target, part.value, f"{where}: part {target}"))
         return found
+
+    def targets(self) -> tuple[Target, ...]:
+        return tuple(
+            Target("part", (name,), "part", 1)
+            if part.quantity == "matrix_factor"
+            else Target("elset", (name,), part.quantity.removesuffix("_stiffness"), 1)
+            for name, part in self.model.parts.items()
+        )
 
     def energy_sets(self, parameter: Parameter) -> tuple[str, ...]:
         parts = self.model.targets(parameter)

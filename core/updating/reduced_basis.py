@@ -63,7 +63,7 @@ from scipy.linalg import LinAlgError, eigh
 
 from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.krylov import GUARD, with_random
-from modetune.core.algebra.matrices import ROWS_AT_ONCE, projected, upper_product
+from modetune.core.algebra.matrices import ROWS_AT_ONCE, projected, touched_product, upper_product
 from modetune.core.algebra.pencil import shift_below
 from modetune.core.errors import ModesError
 from modetune.core.modes import CLOSE, Floats, Integers, close_labels
@@ -437,8 +437,10 @@ def widened_model(
     """
 
     def bordered(square: Floats, upper: sparse.csr_array) -> Floats:
-        forces = upper_product(upper, new)
-        beside, corner = np.vstack([block.T @ forces for block in known]), new.T @ forces
+        forces, rows = touched_product(upper, new)
+        own = slice(None) if rows.size == new.shape[0] else rows  # a group's part has few rows
+        beside = np.vstack([block[own].T @ forces for block in known])
+        corner = new[own].T @ forces
         return np.block([[square, beside], [beside.T, 0.5 * (corner + corner.T)]])
 
     def parts(

@@ -40,6 +40,8 @@ DECK_LINE = re.compile(
 LOOKED_AT = 1 << 18
 #: Programs that run Nastran decks, in the order in which they are tried.
 RUN_NASTRAN = ("nastran", "mystran", "calculix")
+#: Ends of the names of files of matrix models.
+OF_MATRICES = (".yaml", ".yml")
 #: The place of a campaign without a file, for messages.
 PLACE = Path("the command line")
 
@@ -162,6 +164,9 @@ def _bound(section: ModelSection, deck: Path) -> tuple[Solver, str, str]:
     Raises ModelError with the reason of each solver that refuses the deck."""
     if "solver" in section.model_fields_set:
         return bind_solver(section, deck, ()), section.solver, ""
+    if deck.suffix.lower() in OF_MATRICES:
+        matrices = section.model_copy(update={"solver": "matrices"})
+        return bind_solver(matrices, deck, ()), "matrices", ""
     if not is_nastran(deck):
         return bind_solver(section, deck, ()), section.solver, ""
     refused: dict[str, str] = {}

@@ -220,6 +220,24 @@ def test_the_command_says_what_to_run_next_and_that_runs(tmp_path: Path) -> None
     assert " Hz" in again.stdout
 
 
+def test_a_spring_mass_system_runs_on_matrices_with_its_springs_free(tmp_path: Path) -> None:
+    (tmp_path / "frame.yaml").write_text(
+        "masses: {m1: 1.0, m2: 2.0}\nsprings:\n"
+        "  k1: {between: [ground, m1], stiffness: 900.0}\n"
+        "  k2: {between: [m1, m2], stiffness: 500.0}\n"
+        "dampers: {c1: {between: [m1, m2], viscous: 0.1}}\n"
+    )
+    (tmp_path / "lab.csv").write_text("mode,frequency_hz\n1,1.8\n2,6.1\n")
+    files, out = [tmp_path / "lab.csv"], tmp_path / "c.yaml"
+    draft = init_campaign(tmp_path / "frame.yaml", files, ["model.units=m-kg-s"], out)
+    assert draft.sketch.name == "matrices"
+    campaign = load_campaign(tmp_path / "c.yaml")
+    # Masses can be weighed, and modes do not depend on dampers.
+    assert campaign.parameters.names == ("k_k1", "k_k2")
+    assert "# - {name: m_m1, quantity: mass, elset: m1" in (tmp_path / "c.yaml").read_text()
+    assert campaign.case.solver.deck.numbers(campaign.parameters.parameters[1])[0].value == 500.0
+
+
 def test_a_deck_with_nothing_to_update_is_refused_in_words(tmp_path: Path) -> None:
     deck = written(tmp_path, "*NODE\n1, 0., 0., 0.\n2, 1., 0., 0.\n", "empty.inp")
     with pytest.raises(ModetuneError) as caught:
