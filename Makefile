@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test quick nightly prefect-versions bench zoo kills lint format docs clean
+.PHONY: demo test quick nightly prefect-versions bench zoo mutations kills lint format docs clean
 
 demo: $(VENV)/.ready
 	$(BIN)/modetune demo
@@ -22,9 +22,11 @@ test: $(VENV)/.ready-dev
 quick: $(VENV)/.ready-dev
 	$(PYTEST) tests/core tests/test_structure.py
 
-# The deck corpus, the fine aircraft and all six ways too, and many more examples of each law.
+# The deck corpus, the fine aircraft and all six ways too, and many more examples of each law; then
+# `mutations` and `kills`, which go on where an interrupted night stopped.
 nightly: $(VENV)/.ready-dev
-	$(PYTEST) -m "" --hypothesis-profile=nightly
+	$(PYTEST) -m "" --hypothesis-profile=nightly; tests=$$?; \
+	$(MAKE) mutations; mutations=$$?; $(MAKE) kills && [ $$tests$$mutations = 00 ]
 
 # The tests of Prefect's engine on the oldest Prefect that is allowed, and on the newest.
 prefect-versions: $(VENV)/.ready-dev
@@ -43,7 +45,13 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# 300 kills of campaigns and studies, and 20 rounds of deployed ones; KILLS_FLAGS="--rounds 0".
+# 100,000 mutated files of all kinds that users hand over; MUTATIONS_FLAGS="--count 5000 --jobs 2".
+# The journal in runs/nightly has what is done: an interrupted run goes on.
+mutations: $(VENV)/.ready-dev
+	$(BIN)/python -m benchmarks.mutations $(MUTATIONS_FLAGS)
+
+# 1,000 kills of fifteen kinds of study, many with a second fault, and 20 rounds of deployed ones;
+# KILLS_FLAGS="--kills 100 --rounds 0". Goes on where an interrupted run stopped, as `mutations` does.
 kills: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.kills $(KILLS_FLAGS)
 

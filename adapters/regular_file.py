@@ -46,6 +46,14 @@ def read_errors(path: Path | str, kind: Callable[[str], Exception]) -> Iterator[
         raise kind(f"{path} cannot be read: {error.strerror or error}") from error
 
 
+def is_file(path: Path) -> bool:
+    """Return whether there is a file of a name that a user wrote: names may be too long for one."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def read_regular(path: Path, most: int | None = None) -> bytes:
     """Read a whole regular file of at most `most` bytes, by default a share of the memory.
 

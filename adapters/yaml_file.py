@@ -23,8 +23,8 @@ from modetune.core.errors import CampaignError
 Place = tuple[str | int, ...]
 #: Repetitions (`*name`) of repetitions can make a short file endless.
 MOST_VALUES = 200_000
-#: Larger than any campaign or spring-mass system, bytes: PyYAML takes a minute for it.
-MOST_BYTES = 8 << 20
+#: Larger than any campaign or spring-mass system, bytes: PyYAML takes five seconds for it.
+MOST_BYTES = 600_000
 
 
 @dataclass(frozen=True, slots=True)

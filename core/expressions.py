@@ -106,18 +106,22 @@ def read(expression: str) -> ast.expr:
 
 
 def _check(node: ast.expr, expression: str, depth: int) -> None:
-    good = depth <= DEEPEST
+    if depth > DEEPEST:  # `ast` cannot write it either
+        raise ModelError(
+            f"the expression {expression[:80]!r} has more than {DEEPEST} operations one in another"
+        )
+    good = True
     match node:
         case ast.BinOp(op=op):
-            good = good and type(op) in OPERATORS
+            good = type(op) in OPERATORS
         case ast.UnaryOp(op=ast.USub() | ast.UAdd()) | ast.Name():
             pass
         case ast.Constant(value=int() | float() as value):
-            good = good and not isinstance(value, bool) and abs(value) < MOST
+            good = not isinstance(value, bool) and abs(value) < MOST
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             several = name in OF_SEVERAL
             count = len(arguments)
-            good = good and name in FUNCTIONS and (count > 1 if several else count == 1)
+            good = name in FUNCTIONS and (count > 1 if several else count == 1)
         case _:
             good = False
     if not good:

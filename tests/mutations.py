@@ -1,9 +1,7 @@
-"""Kinds of input with their readers, and mutations of good files.
+"""Kinds of input, what reads each, and readings of their mutations within limits.
 
-A mutation flips bits, overwrites, cuts, repeats or swaps pieces of a good file, changes a number,
-or puts words in that readers stumble over; of a text it also repeats, reorders, merges and removes
-lines, grows numbers, and changes line ends and encoding. All is seeded. `test_mutations.py` does
-some of each kind, `benchmarks/mutations.py` many.
+`mutators.py` has the mutations. All are seeded: a kind, a seed and a number give one file again.
+`test_mutations.py` reads some of each kind, `benchmarks/mutations.py` many.
 """
 
 from __future__ import annotations
@@ -11,9 +9,9 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import resource
 import signal
 import tempfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -32,6 +30,8 @@ from modetune.adapters.calculix.frd import count_frd
 from modetune.adapters.calculix.matrices import read_matrices
 from modetune.adapters.calculix.results import read_messages, read_modal
 from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.command.settings import CommandSettings
+from modetune.adapters.command.solver import command_solver, read_results
 from modetune.adapters.matrices.job import CLOSING_MARK, RESULT, read_result, run_job, write_job
 from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.model import MatrixModel
@@ -45,7 +45,7 @@ from modetune.adapters.process import LOG
 from modetune.adapters.solver import MatrixAnalysis, ModalAnalysis, SensitivityAnalysis, Solver
 from modetune.adapters.test_files.geometry_csv import write_geometry_csv
 from modetune.adapters.test_files.hdf5 import write_test_hdf5
-from modetune.adapters.test_files.measurements import read_measurement
+from modetune.adapters.test_files.measurements import read_histories, read_measurement
 from modetune.adapters.test_files.modes_csv import read_modes_csv
 from modetune.adapters.test_files.universal.file import write_universal
 from modetune.adapters.translation.solver import translated_solver
@@ -55,7 +55,9 @@ from modetune.core.parameters import Parameter
 from modetune.core.storage.campaign_record import read_record, write_record
 from modetune.core.storage.store import Entry, Store
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.campaign.schema import campaign_schema
 from modetune.flows.campaign.site import SITE_VARIABLE, site_run
+from modetune.flows.studies.init.draft import init_campaign
 from tests.adapters import fake_nastran
 from tests.adapters.abaqus.decks import bracket
 from tests.adapters.calculix.test_model import DECK as CALCULIX_DECK
@@ -64,32 +66,49 @@ from tests.adapters.nastran.test_f06 import small
 from tests.adapters.nastran.test_model import DECK as NASTRAN_DECK
 from tests.adapters.nastran.test_solver import PARAMETERS as CHAIN_PARAMETERS
 from tests.adapters.nastran.test_solver import deck as chain_deck
+from tests.adapters.test_dmig import beam, binary, punched
 from tests.adapters.test_files.measured_tests import Wanted, made
+from tests.adapters.test_files.result_decks import ladder
+from tests.adapters.test_files.test_mat import DOF, FN, NODE, PHI, ZETA, save_73
+from tests.adapters.test_files.test_repeated_csv import TABLE as REPEATED
+from tests.adapters.test_files.test_solver_results import nastran_hdf5, punch
+from tests.adapters.test_files.test_tables import GERMAN
 from tests.adapters.test_files.test_universal_broken import WHOLE as UNIVERSAL_DATASETS
 from tests.adapters.test_files.universal_text import binary_58
 from tests.core.storage.test_campaign_record import record
 from tests.core.storage.test_store import KEY, modal
+from tests.flows.studies.test_init_design import BEAM, PLATE, TRUSS
+from tests.mutators import (
+    CARDS,
+    DATASETS,
+    KEYWORDS,
+    MAIN,
+    PAGES,
+    ROWS,
+    Files,
+    Mutator,
+    mat_file,
+    of_archive,
+    of_hdf5,
+    of_mat,
+    of_records,
+    of_text,
+    of_workbook,
+    of_yaml,
+    spoil_bytes,
+    workbook,
+)
 from tests.one_matrix import read_matrix
+from tests.shaft_line import DECK as SHAFT_DECK
+from tests.shaft_line import NODES as SHAFT_NODES
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "adapters" / "data"
 SIX_MASS = ROOT / "configs" / "six_mass"
-#: No reading may take longer, or more memory than this above what the process had.
-LONGEST_S, MOST_BYTES = 20.0, 2 << 30
-#: What readers stumble over.
-WORDS = (
-    b"nan", b"inf", b"-1", b"0", b"1e999", b"99999999999999999999", b"\0", b"\xff\xfe", b"\n",
-    b"\r", b",", b",,,,", b":", b"[", b"{", b"}", b"- ", b"&a", b"*a", b"!!x", b"'", b'"', b"#",
-    b"$", b"*", b"**", b"=", b"\t", b" ", b"+", b"1.0-101", b"THRU", b"true", b"null", b"~", b"../",
-    "½".encode(), "٣".encode(), b"\xc2\x85", b"\xe2\x80\xa8", b"1_000", b"0x10", b".",
-)  # fmt: skip
-#: What numbers are changed to.
-NUMBERS = (
-    b"0", b"-1", b"1", b"2", b"7", b"99999999", b"1000000000", b"2147483648", b"4294967296",
-    b"9223372036854775808", b"1" + 30 * b"0", b"1e308", b"1e-320",
-)  # fmt: skip
-
-
+#: No reading may take more processor time than this, or more memory above what the process had.
+LONGEST_S, MOST_BYTES = 5.0, 500 << 20
+#: None may wait longer than this.
+LONGEST_WAIT_S = 60.0
 #: A plate of two shells on a beam, a spring, a mass and a rigid element.
 PLATE_DECK = """SOL 103
 CEND
@@ -120,93 +139,28 @@ ENDDATA
 """
 
 
+OTHER_ROWS = of_text(ROWS)
+
+
 @dataclass(frozen=True)
 class Kind:
-    """A kind of input: a good one's bytes, and what reads it.
+    """A kind of input: a good one's bytes, what reads it, and what mutates its structure.
 
     believed: whether a spoilt one may be read as something. share: of the mutations that others
-    get, for what starts a process.
+    get, for what is slow.
     """
 
     good: bytes
     read: Callable[[Path], object]
+    structure: Mutator = OTHER_ROWS
     believed: bool = True
     share: float = 1.0
 
 
-def mutated(good: bytes, random: np.random.Generator) -> bytes:
-    """A good file with one to four things done to it."""
-    data = bytearray(good)
-    for _ in range(int(random.integers(1, 5))):
-        size = len(data) + 1
-        place, length = int(random.integers(0, size)), int(random.integers(1, 40))
-        other = int(random.integers(0, size))
-        match int(random.integers(0, 10)):
-            case 0:
-                data[place : place + 1] = bytes([int(random.integers(0, 256))])
-            case 1 if place < len(data):
-                data[place] ^= 1 << int(random.integers(0, 8))
-            case 2:
-                del data[place : place + length]
-            case 3:
-                data[place:place] = data[other : other + length]
-            case 4 | 5:
-                data[place:place] = WORDS[int(random.integers(0, len(WORDS)))]
-            case 6:
-                lines = data.split(b"\n")
-                first, second = random.integers(0, len(lines), 2).tolist()
-                lines[first], lines[second] = lines[second], lines[first]
-                data = bytearray(b"\n").join(lines)
-            case 7:
-                lines = data.split(b"\n")
-                del lines[int(random.integers(0, len(lines)))]
-                data = bytearray(b"\n").join(lines)
-            case 8:
-                numbers = list(re.finditer(rb"\d+", data))
-                if numbers:
-                    one = numbers[int(random.integers(0, len(numbers)))]
-                    data[one.start() : one.end()] = NUMBERS[int(random.integers(0, len(NUMBERS)))]
-            case _ if random.random() < 0.2:
-                del data[place:]
-            case _:
-                data[place : place + length] = data[other : other + length]
-    return bytes(data)
-
-
-def restructured(good: bytes, random: np.random.Generator) -> bytes:
-    """A good text file with one or two things done to its lines, its numbers or its encoding."""
-    data = good
-    for _ in range(int(random.integers(1, 3))):
-        lines = data.split(b"\n")
-        one, other = (int(random.integers(0, len(lines))) for _ in range(2))
-        match int(random.integers(0, 9)):
-            case 0:
-                lines.insert(other, lines[one])
-            case 1:
-                lines[one], lines[other] = lines[other], lines[one]
-            case 2:
-                del lines[one]
-            case 3:
-                lines[one : one + 2] = [b"".join(lines[one : one + 2])]
-            case 4:
-                lines[one] += b"," + lines[other]
-            case 5:
-                lines[one:one] = lines[one : one + int(random.integers(1, 8))] * 3
-            case 6:
-                numbers = list(re.finditer(rb"\d+", lines[one]))
-                if numbers:
-                    place = numbers[int(random.integers(0, len(numbers)))]
-                    digits = b"7" * int(random.choice([9, 20, 400, 4_301]))
-                    lines[one] = lines[one][: place.start()] + digits + lines[one][place.end() :]
-            case 7:
-                end = (b"\r", b"\r\n", b"\n\n", b"\x0c\n")[int(random.integers(0, 4))]
-                lines = [end.join(lines)]
-            case _:
-                text = data.decode("latin-1")
-                coding = ("utf-16", "utf-8-sig", "utf-32-be", "cp037")[int(random.integers(0, 4))]
-                lines = [text.encode(coding, "replace")]
-        data = b"\n".join(lines)
-    return data
+def mutation(kind: Kind, seed: int, number: int) -> Files:
+    """A mutation by its number: one in three of bytes, the others of the file's structure."""
+    random = np.random.default_rng([seed, number, zlib.crc32(kind.good)])
+    return (kind.structure if number % 3 else spoil_bytes)(kind.good, random)
 
 
 class Hang(BaseException):
@@ -219,51 +173,60 @@ class Greed(BaseException):
 
 @contextmanager
 def bounded() -> Iterator[None]:
+    """Limit the processor time, the time and the memory of what is read within."""
+
     def stop(number: int, frame: FrameType | None) -> None:
         raise Hang
 
-    before, memory = signal.signal(signal.SIGALRM, stop), peak_memory()
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+    clocks = {signal.SIGPROF: signal.ITIMER_PROF, signal.SIGALRM: signal.ITIMER_REAL}
+    before = {number: signal.signal(number, stop) for number in clocks}
+    limit = _memory("VmRSS") + MOST_BYTES
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is that of now
+    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
+    signal.setitimer(signal.ITIMER_REAL, LONGEST_WAIT_S)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-    if peak_memory() > memory + MOST_BYTES:
+        for number, clock in clocks.items():
+            signal.setitimer(clock, 0.0)
+            signal.signal(number, before[number])
+    if _memory("VmHWM") > limit:
         raise Greed
 
 
-def peak_memory() -> int:
-    """The most that this process has held so far, bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+def _memory(name: str) -> int:
+    """What this process holds (VmRSS) or has held at most (VmHWM), bytes."""
+    found = re.search(rf"{name}:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return int(found[1]) * 1024
 
 
-def read_all(
-    kind: Kind,
-    path: Path,
-    seed: int,
-    numbers: Iterable[int],
-    mutate: Callable[[bytes, np.random.Generator], bytes] = mutated,
-) -> Counter[str]:
-    """Read mutations of a kind; how they ended. Anything but a sentence is raised, with the file
-    kept beside."""
+def read_all(kind: Kind, folder: Path, seed: int, numbers: Iterable[int]) -> Counter[str]:
+    """Read mutations of a kind in a folder; how they ended. Anything but a sentence is raised,
+    with the files kept beside."""
     ends: Counter[str] = Counter()
     for number in numbers:
-        data = mutate(kind.good, np.random.default_rng([seed, number]))
-        if data == kind.good:
+        files = mutation(kind, seed, number)
+        if files == {MAIN: kind.good}:
             continue
-        path.write_bytes(data)
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
         try:
             with bounded():
-                kind.read(path)
+                kind.read(folder / MAIN)
             ends["read"] += 1
         except ModetuneError as error:
             ends[type(error).__name__ if str(error).strip() else "no sentence"] += 1
         except BaseException as fault:
-            kept = path.with_name(f"fault-{seed}-{number}")
-            kept.write_bytes(data)
-            fault.add_note(f"mutation {number} of seed {seed}, kept as {kept}")
+            kept = folder / f"fault-{seed}-{number}"
+            kept.mkdir(exist_ok=True)
+            for name, data in files.items():
+                (kept / name).write_bytes(data)
+            fault.add_note(f"mutation {number} of seed {seed}, kept in {kept}")
             raise
+        finally:
+            for name in files:
+                (folder / name).unlink()
     return ends
 
 
@@ -391,6 +354,40 @@ def read_named(name: str) -> Callable[[Path], object]:
     return read
 
 
+def read_draft(suffix: str, *settings: str) -> Callable[[Path], object]:
+    """A reader of a deck by which a campaign is drafted."""
+
+    def read(path: Path) -> object:
+        deck, test = path.with_name(f"deck{suffix}"), path.with_name("draft_test.csv")
+        deck.write_bytes(path.read_bytes())
+        test.write_text(DRAFT_TEST)
+        return init_campaign(deck, [test], settings, path.with_name("draft.yaml"), force=True)
+
+    return read
+
+
+def read_template(path: Path) -> object:
+    """The deck of a program without an adapter."""
+    path.with_name("nodes.csv").write_text(SHAFT_NODES)
+    solver = command_solver(path, SHAFT, SHAFT_PROGRAM)
+    use(solver, SHAFT, path.parent / "jobs")
+    return solver
+
+
+def read_history(path: Path) -> object:
+    return read_histories([path])
+
+
+def read_model(path: Path) -> object:
+    """A model of matrices, by its file."""
+    for name in ("K.mtx", "M.mtx"):
+        if not (path.parent / name).exists():
+            write_matrix(path.parent, name, TRIDIAGONAL)
+    solver = matrices_solver(path, ())
+    use(solver, (), path.parent / "jobs")
+    return solver
+
+
 def read_dofs(path: Path) -> object:
     """The names of the unknowns of a model of matrices."""
     for name, matrix in (("K.mtx", TRIDIAGONAL), ("M.mtx", TRIDIAGONAL)):
@@ -494,20 +491,95 @@ FRD = """    1C
  -1         4 0.00000E+00 4.00000E+00 0.00000E+00
  -3
 """ + " 9999\n"  # fmt: skip
+#: A campaign with most sections.
+ALL_KEYS = """name: all
+model: {deck: six_mass.yaml, solver: matrices, units: m-kg-s, rigid_modes: 0}
+test: {modes: measured.csv, use: [2, 3], unmatched: drop, hold_out: [4]}
+parameters:
+  - {name: k1, quantity: spring_stiffness, elset: k1, bounds: [0.5, 2.0]}
+  - {name: k2, quantity: spring_stiffness, elset: [k2, k3], deviation: 0.1}
+  - {name: m, quantity: mass, elset: m2, bounds: [0.5, 1.5]}
+residuals:
+  frequency_deviation: {2: 0.01, others: 0.002}
+  shape_weight: 0.1
+  mac: {weight: 1.0}
+  mass_properties: {mass: {target: 15.0, deviation: 0.1}}
+update: {step: regularised, e1: {frequency: 0.01, mac: 0.9}, e2: 0.002, max_iterations: 5}
+sensitivity: {method: semi_analytic, between: broyden}
+run: {parallel: 2, retries: 2, timeout_s: 60, licences: {nastran: 1}, keep: 3}
+report: {nodes: 50}
+"""
 SITE = b"run:\n  engine: slurm\n  slurm: {partition: batch, account: dynamics}\n  parallel: 4\n"
 WHOLE_TEST = made(Wanted(7))
 
 
+#: Unknowns that the drafts' decks have.
+DRAFT_TEST = "mode,1,2\nfrequency_hz,10,20\n1.z,1,0.5\n2.z,0.5,-1\n"
+SHAFT_PROGRAM = CommandSettings(
+    "shaft", ("{python}", "{deck}"), "2.5", "nodes.csv", results="t.csv"
+)
+SHAFT = tuple(
+    Parameter(name, "number", "placeholder", (name,), 0.1, 10.0, 0.2)
+    for name in ("k_engine", "k_shaft", "propeller")
+)
+SHAFT_MODES = b"mode,1,2\nfrequency_hz,10.5,20.25\n1.rx,1,0.5\n2.rx,0.5,-1\n6.rx,0.25,0.125\n"
+HISTORY = "time,1.x [m/s^2],2.x [m/s^2],7.x [N]\n" + "".join(
+    f"{step / 64},{np.sin(step):.6f},{np.cos(step / 3):.6f},{step % 7}\n" for step in range(400)
+)
+CALCULIX_LINES, NASTRAN_LINES = of_text(KEYWORDS), of_text(CARDS)
+PRINTED, HDF5 = of_text(PAGES), of_hdf5
+CAMPAIGN = of_yaml(campaign_schema())
+#: Two modes of four sensors, a row a sensor, with what was measured besides.
+SHEET = [
+    ["mode", 1, 2],
+    ["frequency_hz", 10.5, 20.25],
+    ["damping_ratio", 0.01, 0.02],
+    *([f"{node}.z", 1.0 / node, -0.5 * node] for node in (1, 2, 3, 11)),
+    ["environment temperature_C", 21.5],
+]
+
+
 KINDS = {
-    "campaign": Kind((SIX_MASS / "campaign.yaml").read_bytes(), read_campaign),
-    "spring-mass deck": Kind((SIX_MASS / "six_mass.yaml").read_bytes(), read_spring_mass),
+    "campaign": Kind((SIX_MASS / "campaign.yaml").read_bytes(), read_campaign, CAMPAIGN),
+    "campaign of all kinds": Kind(ALL_KEYS.encode(), read_campaign, CAMPAIGN),
+    "spring-mass deck": Kind(
+        (SIX_MASS / "six_mass.yaml").read_bytes(), read_spring_mass, of_yaml()
+    ),
+    "model of matrices": Kind(b"stiffness: K.mtx\nmass: M.mtx\n", read_model, of_yaml()),
     "test": Kind((SIX_MASS / "measured.csv").read_bytes(), read_modes_csv),
-    "CalculiX deck": Kind(CALCULIX_DECK.encode(), read_calculix),
-    "assembly": Kind(bracket()[0].encode(), read_assembly, share=0.5),
-    "Nastran deck": Kind(NASTRAN_DECK.encode(), read_nastran),
-    "translated Nastran deck": Kind(PLATE_DECK.encode(), read_translated),
+    "table of a spreadsheet": Kind(GERMAN.encode("latin-1"), read_test(".csv")),
+    "repeated tests": Kind(REPEATED.encode(), read_test(".csv")),
+    "time histories": Kind(HISTORY.encode(), read_history),
+    "workbook": Kind(workbook(SHEET), read_test(".xlsx"), of_workbook),
+    "MATLAB file": Kind(
+        mat_file({"fn": FN, "zeta": ZETA, "phi": PHI, "dof": DOF, "node": NODE}),
+        read_test(".mat"),
+        of_mat,
+    ),
+    "MATLAB 7.3": Kind(
+        in_folder(lambda folder: save_73(folder / "m.mat", fn=FN, phi=PHI, dof=DOF), "m.mat"),
+        read_test(".mat"),
+        HDF5,
+        share=0.07,
+    ),
+    "CalculiX deck": Kind(CALCULIX_DECK.encode(), read_calculix, CALCULIX_LINES),
+    "assembly": Kind(bracket()[0].encode(), read_assembly, CALCULIX_LINES, share=0.5),
+    "Nastran deck": Kind(NASTRAN_DECK.encode(), read_nastran, NASTRAN_LINES),
+    "translated Nastran deck": Kind(PLATE_DECK.encode(), read_translated, NASTRAN_LINES),
+    "draft for CalculiX": Kind(
+        CALCULIX_DECK.encode(), read_draft(".inp"), CALCULIX_LINES, share=0.3
+    ),
+    "draft for MYSTRAN": Kind(ladder().encode(), read_draft(".bdf"), NASTRAN_LINES, share=0.3),
+    **{
+        f"draft by SOL 200, {name}": Kind(
+            deck.encode(), read_draft(".bdf"), NASTRAN_LINES, share=0.3
+        )
+        for name, deck in (("truss", TRUSS), ("plate", PLATE), ("beam", BEAM))
+    },
+    "template": Kind(SHAFT_DECK.encode(), read_template),
+    "modes of a command": Kind(SHAFT_MODES, read_results),
     "CalculiX modes": Kind(
-        (DATA / "bar.dat").read_bytes(), lambda path: read_modal(path, ANALYSIS, 0.0)
+        (DATA / "bar.dat").read_bytes(), lambda path: read_modal(path, ANALYSIS, 0.0), PRINTED
     ),
     "CalculiX log": Kind(
         (DATA / "turned_element.log").read_bytes(),
@@ -515,24 +587,45 @@ KINDS = {
     ),
     "CalculiX matrix": Kind((DATA / "clamped.sti").read_bytes(), read_stiffness),
     "CalculiX equations": Kind((DATA / "clamped.dof").read_bytes(), read_names),
-    "OP2": Kind((DATA / "nastran" / "rods.op2").read_bytes(), read_op2),
-    "F06": Kind(small().encode(), read_f06),
-    "store entry": Kind(stored(), read_entry, believed=False),
+    "OP2": Kind((DATA / "nastran" / "rods.op2").read_bytes(), read_op2, of_records),
+    "OP2 as a test": Kind(
+        (DATA / "nastran" / "rods.op2").read_bytes(), read_test(".op2"), of_records
+    ),
+    "F06": Kind(small().encode(), read_f06, PRINTED),
+    "F06 as a test": Kind(small().encode(), read_test(".f06"), PRINTED),
+    "punch file": Kind(punch().encode(), read_test(".pch"), PRINTED),
+    "Nastran's HDF5": Kind(
+        in_folder(lambda folder: nastran_hdf5(folder / "n.h5"), "n.h5"),
+        read_test(".h5"),
+        HDF5,
+        share=0.07,
+    ),
+    "store entry": Kind(stored(), read_entry, HDF5, believed=False),
     "record": Kind(
         in_folder(lambda folder: write_record(folder / "campaign.h5", record()), "campaign.h5"),
         read_record,
+        HDF5,
         believed=False,
     ),
-    "Nastran sensitivities": Kind(in_folder(solve_sensitivities, "job.op2"), read_dscm2),
-    "CalculiX shapes": Kind(FRD.encode(), count_frd),
+    "Nastran sensitivities": Kind(
+        in_folder(solve_sensitivities, "job.op2"), read_dscm2, of_records
+    ),
+    "CalculiX shapes": Kind(FRD.encode(), count_frd, PRINTED),
+    "CalculiX shapes as a test": Kind(FRD.encode(), read_test(".frd"), PRINTED),
     "universal file": Kind(
         in_folder(lambda folder: write_universal(folder / "t.uff", WHOLE_TEST), "t.uff"),
         read_test(".uff"),
+        of_text(DATASETS),
         share=0.3,
     ),
-    "universal datasets": Kind(UNIVERSAL_DATASETS.encode(), read_test(".unv"), share=0.5),
+    "universal datasets": Kind(
+        UNIVERSAL_DATASETS.encode(), read_test(".unv"), of_text(DATASETS), share=0.5
+    ),
     "binary universal file": Kind(
-        binary_58(np.arange(6.0), (1, 1, 2, 2), (6, 3, 1, 0.0, 1.0)), read_test(".uff"), share=0.5
+        binary_58(np.arange(6.0), (1, 1, 2, 2), (6, 3, 1, 0.0, 1.0)),
+        read_test(".uff"),
+        of_text(DATASETS),
+        share=0.5,
     ),
     "points": Kind(
         in_folder(lambda folder: write_geometry_csv(folder / "p.csv", geometry()), "p.csv"),
@@ -541,15 +634,21 @@ KINDS = {
     "test as HDF5": Kind(
         in_folder(lambda folder: write_test_hdf5(folder / "t.h5", WHOLE_TEST), "t.h5"),
         read_test(".h5"),
+        HDF5,
         believed=False,
     ),
     "Matrix Market": Kind(SYMMETRIC.encode(), read_named("K.mtx")),
     "Matrix Market array": Kind(ARRAY.encode(), read_named("A.mtx")),
-    "npz matrix": Kind(matrix_bytes("K.npz", TRIDIAGONAL), read_named("K.npz")),
-    "HDF5 matrix": Kind(matrix_bytes("K.h5:K", TRIDIAGONAL), read_named("K.h5:K"), share=0.05),
+    "npz matrix": Kind(matrix_bytes("K.npz", TRIDIAGONAL), read_named("K.npz"), of_archive),
+    "HDF5 matrix": Kind(
+        matrix_bytes("K.h5:K", TRIDIAGONAL), read_named("K.h5:K"), HDF5, share=0.07
+    ),
+    "OUTPUT4": Kind(matrix_bytes("K.op4:K", TRIDIAGONAL), read_named("K.op4:K")),
+    "binary OUTPUT4": Kind(binary("K", np.eye(5)), read_named("K.op4:K"), of_records),
+    "DMIG": Kind(punched("KAAX", *beam(3)[::2]).encode(), read_named("K.pch:KAAX"), NASTRAN_LINES),
     "unknowns": Kind(b"# names\n7.x\n7.rz\n12.3\n13.y\n14.1\n15.z\n", read_dofs),
     "matrices result": Kind(matrices_job_bytes(), read_matrices_job),
-    "site file": Kind(SITE, read_site),
+    "site file": Kind(SITE, read_site, of_yaml()),
     "supervisor's report": Kind(
         b'{"error": "", "return_code": 0, "cpu_s": 0.25, "peak_memory_bytes": 1048576, '
         b'"disk_bytes": 0}\n',

@@ -406,8 +406,11 @@ def rotary_inertia(ties: Connections, scope: Scope, card: KeywordCard) -> None:
     mesh, deck = ties.mesh, ties.mesh.deck
     where = deck.where(card)
     refuse_options(deck, card, {"ELSET"})
+    line = card.data[0] if card.data else None
     values = (
-        [*(read_number(text) for text in deck.fields(card.data[0]) if text)] if card.data else []
+        []
+        if line is None
+        else [deck.number(line, place) for place, text in enumerate(deck.fields(line)) if text]
     )
     if len(values) < 3:
         raise ModelError(f"{where}: *ROTARY INERTIA needs I11, I22 and I33")
@@ -446,7 +449,7 @@ def surface_nodes(
             at = mesh.deck.lines[line].where
             if card.option("TYPE") == "NODE":
                 for node in mesh.node_set(own, first, at):
-                    weights[node] = read_number(second) if second else 1.0
+                    weights[node] = mesh.deck.number(line, 1) if second else 1.0
                 continue
             for element in mesh.element_set(own, first, at):
                 for node, area in _face(mesh, element, second, at, areas).items():

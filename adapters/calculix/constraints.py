@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
+from modetune.adapters.calculix.mesh import generated
 from modetune.adapters.calculix.steps import modal_step, read_steps
 from modetune.adapters.calculix.structure import NOT_FOLLOWED, CalculixStructure
 from modetune.core.errors import ModelError
@@ -92,8 +93,7 @@ def node_sets(structure: CalculixStructure) -> dict[str, set[int]]:
         for position in card.data:
             fields = [field for field in deck.fields(position) if field]
             if "GENERATE" in card.options:
-                first, last, step = [*map(_whole, fields), 1][:3]
-                members.update(range(first, last + 1, step))
+                members.update(generated(deck, position, fields, structure.mesh.nodes))
             else:
                 for field in fields:
                     members |= set_members(field, sets)

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import count, pairwise, repeat
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import overload
 
 from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
+from modetune.adapters.regular_file import is_file
 from modetune.core.errors import ModelError
 
 #: ccx reads at most this many characters of a number.
@@ -89,11 +90,20 @@ class KeywordDeck:
     cards: tuple[KeywordCard, ...]
     includes: tuple[Include, ...]
     step: int = 0
+    _places: dict[str, list[int]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def named(self, *keywords: str) -> list[KeywordCard]:
         """All cards of these keywords, in order."""
+        if not self._places:  # found once: decks with thousands of cards are asked for each
+            found = dict[str, list[int]]()
+            for place, card in enumerate(self.cards):
+                found.setdefault(card.keyword, []).append(place)
+            self._places.update(found)
         wanted = {canonical_name(keyword) for keyword in keywords}
-        return [card for card in self.cards if card.keyword in wanted]
+        places = sorted(place for name in wanted for place in self._places.get(name, ()))
+        return [self.cards[place] for place in places]
 
     def where(self, card: KeywordCard) -> str:
         return self.lines[card.lines.start].where
@@ -186,7 +196,7 @@ def _include(line: Line, main: Path) -> Include:
         raise ModelError(f"{line.where}: *INCLUDE needs INPUT=file on the same line")
     written = Path(found.group(1).strip().strip('"'))
     for folder in (main, line.file.parent):
-        if (folder / written).is_file():
+        if is_file(folder / written):
             keeps = folder is main and not written.is_absolute() and ".." not in written.parts
             return Include((line,), folder / written, keeps)
     raise ModelError(f"{line.where}: the included file {main / written} is not there")

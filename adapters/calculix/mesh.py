@@ -57,6 +57,10 @@ EXPANDED: frozenset[Role] = frozenset(
 )
 
 
+#: The largest number of a node or an element: ccx has integers of 32 bits.
+LARGEST = 2**31 - 1
+
+
 @dataclass(frozen=True, slots=True)
 class Element:
     """kind: the type's name (upper case); line: position of its first line in the deck; nodes: in
@@ -134,12 +138,17 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
         if card.option("ELSET"):
             sets.setdefault(_set_name(deck, card), set()).update(fresh)
     for card in deck.named("*ELSET"):
-        sets.setdefault(_set_name(deck, card), set()).update(_set_members(deck, card, sets))
+        members = _set_members(deck, card, sets, elements.keys())
+        sets.setdefault(_set_name(deck, card), set()).update(members)
     if not nodes or not elements:
         what = "*NODE" if not nodes else "*ELEMENT"
         where = next((deck.where(card) for card in deck.named(what)), f"{deck.file}, line 1")
         text = f"the deck has {len(nodes)} nodes and {len(elements)} elements"
         raise ModelError(f"{where}: {text}: {what} with data lines is expected")
+    largest = max(max(numbers, default=0) for numbers in (nodes, elements, used))
+    if largest > LARGEST:
+        where = next(line.where for line in deck.lines if str(largest) in line.text)
+        raise ModelError(f"{where}: the number {largest} is larger than {LARGEST}, the largest one")
     frozen = {name: frozenset(members) for name, members in sets.items()}
     return CalculixMesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
 
@@ -186,13 +195,14 @@ def _element_rows(deck: KeywordDeck, card: KeywordCard) -> Iterable[tuple[int, l
         yield start, row
 
 
-def _set_members(deck: KeywordDeck, card: KeywordCard, sets: dict[str, set[int]]) -> set[int]:
+def _set_members(
+    deck: KeywordDeck, card: KeywordCard, sets: dict[str, set[int]], known: Collection[int]
+) -> set[int]:
     members: set[int] = set()
     for position in card.data:
         fields = [field for field in deck.fields(position) if field]
         if "GENERATE" in card.options:
-            first, last, step = _generated(deck, position, fields)
-            members.update(range(first, last + 1, step))
+            members.update(generated(deck, position, fields, known))
             continue
         for field in fields:
             if field.isdecimal():
@@ -202,13 +212,21 @@ def _set_members(deck: KeywordDeck, card: KeywordCard, sets: dict[str, set[int]]
     return members
 
 
-def _generated(deck: KeywordDeck, position: int, fields: list[str]) -> tuple[int, int, int]:
+def generated(
+    deck: KeywordDeck, position: int, fields: list[str], known: Collection[int]
+) -> Iterable[int]:
+    """Return the numbers of a line of a set by GENERATE, of a long range those that are known.
+
+    Raises ModelError.
+    """
     numbers = _whole(deck, position, fields)
     if len(numbers) not in (2, 3) or (len(numbers) == 3 and numbers[2] < 1):
         raise ModelError(
             f"{deck.lines[position].where}: GENERATE requires first, last and a step above zero"
         )
-    return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 1
+    span = range(numbers[0], numbers[1] + 1, numbers[2] if len(numbers) == 3 else 1)
+    # A range may have no end, and so be longer than memory.
+    return span if len(span) <= len(known) else (number for number in known if number in span)
 
 
 def _whole(deck: KeywordDeck, position: int, fields: list[str]) -> list[int]:

@@ -127,6 +127,7 @@ class CalculixModel(Deck):
     def material_masses(self) -> dict[str, float]:
         """Return about the mass of each material."""
         found, sizes = dict[str, float](), cell_sizes(self.mesh())
+        densities = dict[str, float]()
         for card in self.structure.deck.named("*SOLID SECTION", "*SHELL SECTION", "*BEAM SECTION"):
             members = self.structure.mesh.element_sets.get(card.option("ELSET"), frozenset())
             size = sum(sizes.get(number, 0.0) for number in members)
@@ -135,9 +136,12 @@ class CalculixModel(Deck):
             if "COMPOSITE" in card.options:
                 layers = [(canonical_name(row[2]), _number(row[0])) for row in rows if len(row) > 2]
             for name, across in layers:
-                with suppress(ModelError):  # a material that has no density
-                    mass = fields_of(self.structure, "density", name)[0].value * across * size
-                    found[name] = found.get(name, 0.0) + mass
+                if name not in densities:
+                    densities[name] = math.nan
+                    with suppress(ModelError):  # a material that has no density
+                        densities[name] = fields_of(self.structure, "density", name)[0].value
+                if not math.isnan(densities[name]):
+                    found[name] = found.get(name, 0.0) + densities[name] * across * size
         return found
 
     def least_length(self) -> float:

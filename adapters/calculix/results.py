@@ -202,9 +202,7 @@ def _eigenvalues(head: str) -> Floats:
     """The table's eigenvalues. Raises ValueError where a row's columns contradict each other."""
     table = head.split("P A R T I C I P A T I O N")[0]
     number = r"([-+]?[\d.]+E[-+]\d+)"
-    rows = re.findall(
-        rf"^\s+(?:\d+\s+)?\d+\s+{number}\s+{number}\s+{number}\s+{number}", table, re.M
-    )
+    rows = re.findall(rf"^ +(?:\d+ +)?\d+ +{number} +{number} +{number} +{number}", table, re.M)
     values = np.array(rows, dtype=np.float64).reshape(-1, 4)
     eigenvalues, real, cycles, imaginary = values.T
     squared = np.where(eigenvalues < 0.0, -(imaginary**2), real**2)

@@ -29,7 +29,7 @@ from modetune.core.errors import ModelError
 
 #: The placeholder that is no parameter, and its value in a deck that is only shown.
 N_MODES, SHOWN_MODES = "n_modes", 10
-FORMAT = re.compile(r"([<>^]?[+\- ]?0?)(\d*)(\.\d+)?([eEfFgGdD]?)")
+FORMAT = re.compile(r"([<>^]?[+\- ]?0?)(\d{0,3})(\.\d{1,3})?([eEfFgGdD]?)")
 #: Decimal digits that identify a double.
 DIGITS = 17
 
@@ -193,7 +193,7 @@ def _placeholders(
         form = found["form"] or ""
         shape = FORMAT.fullmatch(form)
         if name == N_MODES:
-            if form and not re.fullmatch(r"[<>^]?0?\d*d?", form):
+            if form and not re.fullmatch(r"[<>^]?0?\d{0,3}d?", form):
                 problems.append(f"{where}: `{found[0]}`: a number of modes is whole; write `:5d`")
             spots.append(Spot(name, *found.span(), math.nan, where, form, 0, *_around(found)))
             continue

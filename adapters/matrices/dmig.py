@@ -12,6 +12,7 @@ component x here. EXTSEOUT punches such files; what else is in one stays as it i
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -63,7 +64,8 @@ def read_dmig(path: Path) -> dict[str, Terms | None]:
     bulk.log.level = "critical"
     text = "\n".join(line for name, line in _by_matrix(read_text(path)) if name)
     try:
-        bulk.read_bdf(io.StringIO(text + "\n"), punch=True, xref=False, validate=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints the cards that it refuses
+            bulk.read_bdf(io.StringIO(text + "\n"), punch=True, xref=False, validate=False)
     except (*OBJECTIONS, NotImplementedError) as error:
         first = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ModelError(f"{path}: pyNastran does not read its DMIG cards: {first}") from error

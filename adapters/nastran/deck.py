@@ -18,6 +18,7 @@ from modetune.adapters import deck_files
 from modetune.adapters.deck_files import Include, Line, check_include, read_text
 from modetune.adapters.nastran.fields import NastranCard, read_cards, read_changed, read_number
 from modetune.adapters.nastran.parts import Part, is_partitioned, merged_cards
+from modetune.adapters.regular_file import is_file
 from modetune.core.errors import ModelError
 
 INCLUDE = re.compile(r"\s*INCLUDE(?=[\s,='\"]|$)\s*[,=]?\s*(.*)", re.IGNORECASE)
@@ -164,7 +165,7 @@ def _include(
     for name in dict.fromkeys((written, written.replace("\\", "/"))):
         for folder in (holder.parent, main):
             target = Path(os.path.normpath(folder / name))
-            if not target.is_file():
+            if not is_file(target):
                 continue
             below = not os.path.relpath(target, main).startswith("..")
             moved = any(other.target == holder and not other.keeps_place for other in includes)

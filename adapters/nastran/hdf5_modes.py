@@ -69,7 +69,7 @@ def _table(found: dict[str, Table] | ModelError, name: str) -> Table:
     """One table. Raises ValueError where it is not there, or has other fields."""
     if isinstance(found, ModelError):
         raise ValueError(str(found))
-    table = found.get("dense", np.zeros(0))
+    table = found.get("dense", np.zeros(0)).ravel()
     missing = [field for field in FIELDS[name] if field not in (table.dtype.names or ())]
     if missing:
         raise ValueError(f"its table {name} has no field {missing[0]}")

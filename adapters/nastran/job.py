@@ -186,13 +186,18 @@ def _bulk(
         return mystran_cards(deck, bulk, left_out, n_modes, model.masses() == "lumped")
     if model.deck.parts:  # in the numbers of the whole model
         deck = with_lines(model.deck, changed) if changed else model.deck
-        return [
-            large_field(card.name, [card.text(place) for place in range(1, len(card.fields))])
-            for card in deck.cards
-            if not left_out(card)
-        ]
+        return [large_card(deck, card) for card in deck.cards if not left_out(card)]
     kept = {line for card in model.deck.cards if not left_out(card) for line in card.lines}
     return [_text(model.deck, changed, position) for position in sorted(kept)]
+
+
+def large_card(deck: NastranDeck, card: NastranCard) -> str:
+    """Return a card in large field. Raises ModelError where a field does not fit into it."""
+    try:
+        return large_field(card.name, [card.text(place) for place in range(1, len(card.fields))])
+    except ValueError as error:
+        where = deck.lines[card.lines[0]].where
+        raise ModelError(f"{where}: {card.name}: {error}, and too long for a field") from error
 
 
 def _text(deck: NastranDeck, changed: Mapping[int, str], position: int) -> str:

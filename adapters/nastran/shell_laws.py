@@ -180,6 +180,8 @@ def plane_stress(card: Any) -> Floats:
 
 def _orthotropic(e1: float, e2: float, nu12: float, g12: float) -> Floats:
     share = 1.0 - nu12 * nu12 * e2 / e1
+    if not share > 0.0:
+        raise ValueError(f"Poisson's ratio {nu12:g} is too large for moduli {e1:g} and {e2:g}")
     cross = nu12 * e2 / share
     return np.array([[e1 / share, cross, 0.0], [cross, e2 / share, 0.0], [0.0, 0.0, g12]])
 

@@ -33,7 +33,7 @@ import scipy
 from numpy.typing import NDArray
 
 from modetune.adapters.hdf5_reader import ALL, read_hdf5
-from modetune.adapters.regular_file import read_regular
+from modetune.adapters.regular_file import largest, read_regular
 from modetune.adapters.test_files.file_kind import FileKind, Format, kind_of
 from modetune.adapters.test_files.histories import channel_unit, recording
 from modetune.adapters.test_files.modes_csv import sensor_of
@@ -78,6 +78,13 @@ _BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
     *(MemoryError, NotImplementedError, OverflowError, struct.error, zlib.error),
 )
+#: How files of version 5 mark the order of their bytes, and types of their elements.
+MARKS_5 = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
+MATRIX, COMPRESSED, LAST_TYPE = 14, 15, 18
+#: Structs and cells within each other; no file of a test has more than a few.
+DEEPEST = 30
+#: No number of a node is larger.
+LARGEST = 2.0**53
 Variables = dict[str, NDArray[Any]]
 
 
@@ -166,13 +173,44 @@ def _variables(path: Path, said: str) -> Variables:
             raise CampaignError(f"{path} is {said} that cannot be read: {found}")
         return {name.replace("/", "."): np.atleast_1d(array) for name, array in found.items()}
     try:
-        data = io.BytesIO(read_regular(path))
-        content = scipy.io.loadmat(data, chars_as_strings=True)  # type: ignore[arg-type]  # stream
+        data = read_regular(path)
+        if data[124:128] in MARKS_5:
+            _check_elements(memoryview(data)[128:], MARKS_5[data[124:128]], 0)
+        content = scipy.io.loadmat(io.BytesIO(data), chars_as_strings=True)  # type: ignore[arg-type]  # stream
     except (scipy.io.matlab.MatReadError, *_BROKEN) as error:
         raise CampaignError(f"{path} is {said} that cannot be read: {error}") from error
     return dict(
         item for name, value in content.items() if name[:2] != "__" for item in _flat(name, value)
     )
+
+
+def _check_elements(data: memoryview, order: str, depth: int) -> None:
+    """Raise ValueError where an element of a file of version 5 is of no type or is cut short.
+
+    SciPy looks a type up without asking whether there is one, and crashes.
+    """
+    if depth > DEEPEST:
+        raise ValueError(f"its variables are nested more than {DEEPEST} deep")
+    place = 0
+    while place + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, place)
+        if kind >> 16:  # a small element, within its tag
+            kind, size, start = kind & 0xFFFF, kind >> 16, place + 4
+        else:
+            start = place + 8
+        inner = data[start : start + size]
+        if not 1 <= kind <= LAST_TYPE or len(inner) < size or (start == place + 4 and size > 4):
+            raise ValueError(f"an element at byte {place} has no type or is cut short")
+        if kind == COMPRESSED:
+            unpacked = zlib.decompressobj().decompress(inner, largest())
+            _check_elements(memoryview(unpacked), order, depth + 1)
+        elif kind == MATRIX:
+            _check_elements(inner, order, depth + 1)
+        place = (
+            place + 8
+            if start == place + 4
+            else start + (size if kind == COMPRESSED else -(-size // 8) * 8)
+        )
 
 
 def _flat(name: str, value: object) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -254,6 +292,8 @@ def _dofs(
     Raises CampaignError.
     """
     for name, values in _choices(found, DOFS):
+        if values.dtype.kind in "iuf" and not (np.abs(values.astype(float)) < LARGEST).all():
+            continue
         if values.dtype.kind == "U" and values.size == count:
             sensors = [sensor_of(str(label)) for label in np.ravel(values)]
             dofs = [item for item in sensors if item is not None]
@@ -283,7 +323,7 @@ def _points(found: Variables) -> TestGeometry | None:
         if values.dtype.kind not in "iuf" or values.ndim != 2 or values.shape[1] not in (4, 7):
             continue
         nodes = values[:, 0].astype(np.float64)
-        whole = (nodes == np.rint(nodes)).all() and (nodes >= 0.0).all()
+        whole = (nodes == np.rint(nodes)).all() and ((nodes >= 0.0) & (nodes < LARGEST)).all()
         if whole and np.unique(nodes).size == nodes.size and np.isfinite(values).all():
             return TestGeometry(
                 nodes.astype(np.int64),

@@ -11,7 +11,9 @@ from __future__ import annotations
 import csv
 import math
 import re
+import warnings
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +24,8 @@ SEPARATORS = (";", "\t", ",")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eEdD][+-]?[0-9]+)?")
 _HEADING = re.compile(r"(.*?)[\s:]*(?:[\[(]([^\])]*)[\])]|(?:/|\bin\b)\s*(\S+))?[\s:]*")
 
+#: Characters of a heading that may have a meaning; a long text takes the pattern minutes.
+LONGEST_HEADING = 200
 #: Cells of a workbook, which take 4 us and 80 bytes each; a text is read ten times as fast.
 MOST_CELLS = 3_000_000
 #: Sheets of numbers unpack to five to thirty times their size, repeated cells to a thousand times;
@@ -95,9 +99,9 @@ def read_tables(path: Path) -> list[FileTable]:
 
 def heading(text: str) -> tuple[str, str]:
     """Return the meaning of a heading, or its plain words, and its unit in lower case."""
-    plain = text.strip().casefold()
-    if plain in MEANINGS:
-        return MEANINGS[plain], ""
+    plain = " ".join(text.split()).casefold()
+    if plain in MEANINGS or len(plain) > LONGEST_HEADING:
+        return MEANINGS.get(plain, plain), ""
     found = _HEADING.fullmatch(plain)
     assert found is not None  # the pattern takes anything
     words = re.sub(r"[\s_.]+", " ", found[1]).strip()
@@ -198,15 +202,16 @@ def _sheets(path: Path) -> list[FileTable]:
                 f"{path} unpacks from {packed / 1e6:.2g} to {size / 1e6:.0f} MB, more than "
                 "measured values do; write them as CSV"
             )
-        with open_regular(path) as file:
+        with open_regular(path) as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a book without styles has its numbers
             book = load_workbook(file, read_only=True, data_only=True)
             tables, room = [], MOST_CELLS
             for sheet in book.worksheets:
                 tables.append(_sheet(f"{path}, sheet {sheet.title}", sheet, room))
                 room -= sum(len(row.fields) for row in tables[-1].rows)
             return tables
-    except (zipfile.BadZipFile, InvalidFileException, ValueError, KeyError, TypeError,
-            AttributeError, SyntaxError, EOFError) as error:  # fmt: skip
+    except (zipfile.BadZipFile, zlib.error, InvalidFileException, ValueError, LookupError,
+            TypeError, AttributeError, SyntaxError, EOFError, RuntimeError) as error:  # fmt: skip
         raise CampaignError(f"{path} is not a whole Excel workbook: {error}") from error
 
 

@@ -187,7 +187,7 @@ def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
     limits = np.zeros(m + 1)
     quantiles = scipy.special.fdtri(sizes, n - sizes, 1.0 - FALSE / n)
     limits[1:] = sizes * (n**2 - 1) / (n * (n - sizes)) * quantiles
-    used = np.isfinite(x)
+    covariance, used = covariance + NOTHING * np.eye(m), np.isfinite(x)
     for row, there in zip(x, used, strict=True):
         counted = int(there.sum())
         while there.any():
@@ -199,6 +199,8 @@ def _usual(x: Floats, mean: Floats, covariance: Floats) -> Mask:
             there[np.flatnonzero(there)[worst]] = False
         if 2 * there.sum() < counted:
             there[:] = False
+    lost = used.sum(axis=0) < 2  # then nothing shows which of its values are the unusual ones
+    used[:, lost] = np.isfinite(x)[:, lost]
     return used
 
 
@@ -348,8 +350,10 @@ def _independent(repeats: RepeatedTests, scatter: Scatter) -> tuple[float, tuple
     n = len(repeats.places)
     if n < DRIFT_FROM:
         return 1.0, ()
-    off = np.where(scatter.used, repeats.frequencies_hz - scatter.mean, 0.0) / scatter.deviations
-    alike = float(np.sum(off[1:] * off[:-1]) / np.sum(off**2))
+    varies = scatter.used & (scatter.deviations > 0.0)
+    sizes = np.where(scatter.deviations > 0.0, scatter.deviations, 1.0)
+    off = np.where(varies, repeats.frequencies_hz - scatter.mean, 0.0) / sizes
+    alike = float(np.sum(off[1:] * off[:-1]) / max(np.sum(off**2), NOTHING))
     if alike < DRIFTS / np.sqrt(n):
         return 1.0, ()
     worth = max((1.0 - alike) / (1.0 + alike), 2.0 / n)

@@ -476,7 +476,8 @@ def _with_design(draft: Draft) -> Draft:
 def _write_checked(draft: Draft) -> None:
     """Write the campaign file and read it. Raises CampaignError, and the file is removed."""
     with writing(draft.path) as part:
-        part.write_text(campaign_text(draft), encoding="utf-8")
+        text = campaign_text(draft).encode("utf-8", "surrogateescape")  # bytes of no coding
+        part.write_text(text.decode("utf-8", "replace"), encoding="utf-8")
     try:
         load_campaign(draft.path, [], CampaignFile if draft.test else OpenFile)
     except CampaignError:

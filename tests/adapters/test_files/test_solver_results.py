@@ -107,7 +107,8 @@ def test_another_hdf5_is_told_by_what_it_lacks(tmp_path: Path) -> None:
         read_measurement([tmp_path / "a.h5"])
 
 
-def test_a_punch_file_is_read(tmp_path: Path) -> None:
+def punch() -> str:
+    """A rod's two modes at two nodes, with rotations, as Nastran punches them."""
     heads = ["$TITLE   = ROD", "$SUBTITLE=", "$LABEL   =", "$EIGENVECTOR", "$REAL OUTPUT",
              "$SUBCASE ID =           1"]  # fmt: skip
     for mode, eigenvalue in ((1, 100.0), (2, 400.0)):
@@ -116,8 +117,12 @@ def test_a_punch_file_is_read(tmp_path: Path) -> None:
             values = "".join(f"{value:18.6E}" for value in (mode * node, 0.0, -0.5))
             heads += [f"{node:10}       G{values}", "-CONT-" + " " * 12 + 3 * f"{0.0:18.6E}"]
     lines = [f"{line:72}{number:8}" for number, line in enumerate(heads, start=1)]
+    return "\r\n".join(lines) + "\r\n"
+
+
+def test_a_punch_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "rod.txt"
-    path.write_text("\r\n".join(lines) + "\r\n")
+    path.write_text(punch())
     measured = modes_in(path)
     np.testing.assert_allclose(measured.modes.frequencies_hz, [10.0 / 2 / np.pi, 20.0 / 2 / np.pi])
     assert measured.modes.mode_shapes.tolist() == [[1, 2], [-0.5, -0.5], [2, 4], [-0.5, -0.5]]
