@@ -141,10 +141,11 @@ class MatrixSource:
 
     def last_matrices(self, theta: Floats, columns: Sequence[int]) -> ParameterMatrices:
         """Return `matrices`; the store then drops the jobs' results and keeps the matrices."""
-        jobs = self.jobs(theta, columns)
         found = self.matrices(theta, columns)
         self.group_stiffness(theta)
-        for job in jobs:
+        # Those of a run that was killed before it dropped them, too.
+        own = () if self._given is not None else self._jobs(self._plan(theta, columns))
+        for job in (*self.jobs(theta, columns), *own):
             self.engine.store.drop(self.engine.key(job))
         return found
 

@@ -87,9 +87,11 @@ class RunHistory:
     def add(self, record: CampaignRecord, page: Path | None) -> None:
         """Add a finished run, unless the history has its evidence, and keep its files."""
         run = past_run(record, self.history)
-        if self.history.with_same_evidence(run) is not None:
-            return
+        known = self.history.with_same_evidence(run)
         try:
+            if known is not None:
+                _keep_page(self.folder, known, page)
+                return
             _keep_files(self.folder, run, page, self.keep)
             add_past_run(self.folder, run)
             self.history = self.history.until(run)
@@ -156,6 +158,14 @@ def _keep_files(folder: Path, run: PastRun, page: Path | None, keep: int) -> Non
         if (folder / "updated").is_dir():
             shutil.copytree(folder / "updated", part / "updated")
         part.rename(place)
+
+
+def _keep_page(folder: Path, run: PastRun, page: Path | None) -> None:
+    """Add the report of a run that was killed between its record and its report."""
+    place = kept_folder(folder, run)
+    if place and page and page.is_file() and not (place / PAGE).exists():
+        with storage_errors(place):
+            _link(page, place / PAGE)
 
 
 def _link(source: Path, target: Path) -> None:

@@ -65,7 +65,7 @@ from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.run_log import logged_to
 from modetune.flows.jobs.tasks import study_run
 from modetune.flows.report.iteration_tables import iteration_row
-from modetune.flows.report.report_file import draw_report
+from modetune.flows.report.report_file import PAGE, draw_report
 from modetune.flows.updating.diagnosis import checked
 from modetune.flows.updating.evaluation import Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
@@ -516,6 +516,8 @@ def _update(
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
     with storage_errors(unfinished):
+        if campaign.report.page:  # a kill leaves no report of the run before next to this record
+            (folder / PAGE).unlink(missing_ok=True)
         unfinished.replace(folder / "campaign.h5")
     if campaign.report.page:
         progress.working("drawing the report")

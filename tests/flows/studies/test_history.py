@@ -20,12 +20,16 @@ from modetune.core.errors import CampaignError
 from modetune.core.modes import Floats
 from modetune.core.monitoring.past_runs import FOLDER, PAST_RUN, add_past_run, read_history
 from modetune.core.storage.campaign_record import read_record
+from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.report.headline import headline
 from modetune.flows.report.page import page
 from modetune.flows.studies.catalogue import find_study
 from modetune.flows.studies.history.differences import RunDifference
 from modetune.flows.studies.history.study import StructureHistory
+from modetune.flows.updating.forecast import Unwatched
+from modetune.flows.updating.update import update_campaign
 from tests.command_line import run_command
+from tests.flows.updating.test_same_bits import Killed
 
 #: Relative scatter of a frequency, and of an entry of a shape, of the tests here.
 FREQUENCY, SHAPE = 0.001, 0.02
@@ -335,6 +339,26 @@ def test_a_run_that_was_killed_before_its_past_run_is_added_by_the_next(copied: 
     assert copied.night(5, k1=0.85).returncode == 0
     assert lost in copied.past_files()
     assert len(copied.past_files()) == 5
+
+
+def test_a_run_that_was_killed_before_its_report_gets_its_own_from_the_next(
+    copied: Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill(*given: object) -> None:
+        raise Killed
+
+    copied.test(5, k1=0.85)
+    monkeypatch.setenv("MODETUNE_STORE", str(copied.folder / "store"))
+    campaign = load_campaign(copied.folder / "campaign.yaml")
+    with monkeypatch.context() as patch:
+        patch.setattr("modetune.flows.updating.update.draw_report", kill)
+        with pytest.raises(Killed):
+            update_campaign(campaign, copied.runs, Unwatched())
+    assert not (copied.runs / "report.html").exists()  # it was that of the run before
+    assert copied.update().returncode == 0
+    newest = copied.past_files()[-1].removesuffix(".h5")
+    report = (copied.runs / "report.html").read_bytes()
+    assert (copied.runs / FOLDER / newest / "report.html").read_bytes() == report
 
 
 def test_broken_and_foreign_files_stop_no_update(copied: Structure) -> None:

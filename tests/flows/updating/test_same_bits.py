@@ -66,6 +66,11 @@ def run(file: Path, place: Path) -> Path:
     return place / "run" / "campaign.h5"
 
 
+def entries(place: Path) -> set[str]:
+    """Return the names of the entries of a store."""
+    return {path.name for path in Store(place / "store").entries()}
+
+
 def watch_puts(monkeypatch: pytest.MonkeyPatch, after: Callable[[Store, Entry], None]) -> None:
     real = Store.put
 
@@ -121,6 +126,7 @@ def test_killed_after_an_entry_and_run_again_it_ends_on_the_same_bits(
             again = run(file, place)
         assert differences(whole, again) == []
         assert sorted(seen) == sorted(written_by)  # nothing was computed twice
+        assert entries(place) == entries(tmp_path / "whole")  # nothing is lost, nothing is left
 
 
 def test_each_search_but_the_first_begins_with_modes_that_are_known(
