@@ -291,7 +291,9 @@ def _other_text(data: bytes, random: Random) -> bytes:
             return data + b"\x1a" * below(random, 2) + data.decode("latin-1").encode("utf-16")
         case 5:
             blank: bytes = one_of(random, (b" ", b"\t", b"\n", b"$", b"*", b",", b"\xa0"))
-            return data[:place] + blank * one_of(random, (1, 80, 10_000, 300_000)) + data[place:]
+            return (
+                data[:place] + blank * int(one_of(random, (1, 80, 10_000, 300_000))) + data[place:]
+            )
         case 6:
             blank = one_of(random, (b"\t", b"  ", b"\xc2\xa0", b""))
             return data.replace(b" ", blank)
