@@ -2,7 +2,8 @@
 
 `charts.js` draws a chart in an interactive page, `matplotlib_charts` for print. Texts are plain;
 the drawing code escapes markup and formulas. The colours are those of Okabe and Ito (2008), which
-colour-blind readers can distinguish; test, before and after have the same colours everywhere.
+colour-blind readers can distinguish, three of them darkened: each has a contrast of at least 3 to
+the paper by day and by night. Test, before and after have the same colours everywhere.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 from modetune.core.modes import Floats
 from modetune.core.storage.keys import Json, number_or_null
 
-TEST, BEFORE, AFTER = "#000000", "#56B4E9", "#D55E00"
-PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+TEST, BEFORE, AFTER = "#000000", "#3A94CC", "#D55E00"
+PARAMETER_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#C4689A", "#B07A00", BEFORE, TEST)
 GREY = "#8a8f98"
 #: Maximum number of rows and columns of a map with printed values.
 NUMBERED = 16

@@ -1,4 +1,4 @@
-// Charts as SVG, from the values of `chart.py`; redrawn when their width changes.
+// Charts as SVG and as CSV, from the values of `chart.py`; redrawn when their width changes.
 "use strict";
 (() => {
   const PIXELS = 84;          // per inch of a panel
@@ -55,6 +55,41 @@
     element.addEventListener("pointermove", look);
     element.addEventListener("pointerdown", look);
     element.addEventListener("pointerleave", () => { bubble.hidden = true; });
+  };
+
+  modetune.save = (blob, name) => {
+    const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name.replace(/[^\w.-]+/g, "_") });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  };
+
+  // The numbers of a chart as CSV: a row for each point, bar, cell and rule; empty columns are left out.
+  modetune.csv = (chart) => {
+    const head = (side) => {
+      const labels = new Set(chart.panels.map((panel) => panel[side].label));
+      return labels.size === 1 && !labels.has("") ? [...labels][0] : side;
+    };
+    const rows = chart.panels.flatMap((panel) => panel.items.flatMap((item) => {
+      const name = (side, v) => (panel[side].names.length ? panel[side].names[Math.round(v)] : v);
+      const row = (x, y, value = "", half = "", note = "") => [panel.title, item.name || "", x, y, value, half, note];
+      if (item.kind === "Rule") return [item.upright ? row(name("x", item.value), "") : row("", name("y", item.value))];
+      if (item.kind === "Curve") {
+        return item.x.map((x, i) => row(name("x", x), name("y", item.y[i]), "", "", item.labels[i] || item.tooltips[i]));
+      }
+      if (item.kind === "Bars") {
+        return item.values.map((v, i) => row(...(panel.sideways ? [v, panel.y.names[i]] : [panel.x.names[i], v]), "",
+          item.errors ? item.errors[i] : "", item.labels[i]));
+      }
+      return item.values.flatMap((line, i) => line.map((v, j) => row(panel.x.names[j], panel.y.names[i], v)));
+    }));
+    const heads = ["panel", "series", head("x"), head("y"), "value", "half width", "note"];
+    const kept = heads.map((_, at) => at).filter((at) => rows.some((row) => row[at] !== "" && row[at] != null));
+    const written = (v) => {
+      if (v == null || typeof v === "number") return String(v ?? "");
+      const text = /^[=+@-]/.test(v) && !Number.isFinite(Number(v)) ? "'" + v : v;   // no formula in a spreadsheet
+      return /[",\n]/.test(text) ? `"${text.replace(/"/g, '""')}"` : text;
+    };
+    return [heads, ...rows].map((row) => kept.map((at) => written(row[at])).join(",") + "\n").join("");
   };
 
   function ticks(low, high, count, step) {
@@ -167,6 +202,10 @@
   modetune.chart = (host, chart, options = {}) => {
     const zooms = new Map();
     let width = 0;
+    const file = [chart.title, host.id.replace(/^chart-/, "")].filter(Boolean).join("-") + ".csv";
+    const csv = Object.assign(document.createElement("button"), { type: "button", className: "csv", textContent: "CSV", title: "Save the numbers of this chart" });
+    csv.setAttribute("aria-label", "save as CSV: " + (chart.description || file));
+    csv.addEventListener("click", () => modetune.save(new Blob([modetune.csv(chart)], { type: "text/csv" }), file));
 
     function drawPanel(panel, place, outer, shared) {
       const heat = panel.items.find((item) => item.kind === "HeatMap");
@@ -178,7 +217,7 @@
       const room = { left: 16, right: 10, top: panel.title ? 24 : 8, bottom: 22 + (panel.x.label ? 18 : 0) };
       if (slant) room.bottom = 12 + labels * Math.sin(slant) + (panel.x.label ? 18 : 0);
       const height = PIXELS * chart.size[1] + (panel.title ? 12 : 0) + Math.max(0, room.bottom - 40);
-      const made = svg("svg", { width: outer, height, viewBox: `0 0 ${outer} ${height}`, role: "img" });
+      const made = svg("svg", { width: outer, height, viewBox: `0 0 ${outer} ${height}`, role: "img", "aria-label": panel.title || chart.description });
       if (panel.title) made.append(svg("text", { x: outer / 2, y: 14, "text-anchor": "middle", class: "title" }, panel.title));
       made.targets = [];
       if (tower) {
@@ -273,7 +312,8 @@
         cell.cell = [i, j];
         inner.append(cell);
         if (v !== null && item.numbered && cw >= 26 && ch >= 13 && Math.abs(v) >= ZERO) {
-          const light = 0.3 * shares[0] + 0.59 * shares[1] + 0.11 * shares[2] > 0.5;
+          const [r, g, b] = shares.map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+          const light = 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.179;   // the better contrast of the two
           inner.append(svg("text", { x: X(j), y: Y(i) + 4, "text-anchor": "middle", class: "value", fill: light ? "#000" : "#fff" }, v.toFixed(2).replace("-", "−")));
         }
       }));
@@ -362,14 +402,13 @@
     }
 
     function legend() {
-      const names = new Map();
+      const names = new Map(), made = document.createElement("div");
+      made.className = "legend";
       for (const panel of chart.panels) for (const item of panel.items) {
         if (item.name && item.kind !== "Rule" && !names.has(item.name)) names.set(item.name, item);
       }
-      if (names.size < 2) return null;
-      const made = document.createElement("div");
-      made.className = "legend";
-      if (chart.legend) made.append(chart.legend + ":");
+      if (names.size < 2) names.clear();
+      else if (chart.legend) made.append(chart.legend + ":");
       for (const [name, item] of names) {
         const sign = svg("svg", { width: 22, height: 12 });
         const paint = typeof item.colours === "string" ? item.colours : item.colour;
@@ -382,6 +421,7 @@
         entry.append(sign, name);
         made.append(entry);
       }
+      made.append(csv);
       return made;
     }
 
@@ -422,8 +462,7 @@
         });
         grid.append(made);
       });
-      const names = legend();
-      host.replaceChildren(...(names ? [names, grid] : [grid]));
+      host.replaceChildren(legend(), grid);
       host.style.minHeight = "";
       host.classList.toggle("clicked", Boolean(options.onCell));
     }

@@ -313,6 +313,10 @@ def _agrees(record: CampaignRecord, rows: Sequence[ModeRow]) -> tuple[Figure, ..
                 "outside" if least < record.e1_mac else "",
             )
         )
+    else:
+        lost = len(unmatched_modes(record))
+        all_modes = f"of {_count(len(rows) + lost, 'measured mode')}"
+        figures.append(Figure("Paired modes", str(len(rows)), all_modes, "outside" * bool(lost)))
     return tuple(figures)
 
 

@@ -4,7 +4,7 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   modetune.onTheme = (action) => dark.addEventListener("change", action);
-  const drawn = new Set();
+  const drawn = new Set(), spaces = [];   // what is drawn, and the views in 3D
   const host = document.getElementById("shape-view");
 
   // A click on a cell of a MAC matrix shows that pair.
@@ -30,6 +30,7 @@
     const canvas = document.createElement("canvas"), space = modetune.space(canvas);
     if (!space) return;
     place.append(canvas, ...modetune.captions("before", "after"));
+    spaces.push(space);
     const points = unpack(scene.points, Float32Array);
     const mesh = space.lines(unpack(scene.coordinates, Float32Array), unpack(scene.edges, Uint32Array));
     const dots = ["before", "after"].map((state, panel) => {
@@ -49,6 +50,7 @@
 
   if (host && data.scene) {
     modetune.player = modetune.shapes(host, data.scene);
+    if (modetune.player) spaces.push(modetune.player.space);
     host.dataset.ready = "true";
   }
   const places = [...document.querySelectorAll("[data-chart]")];
@@ -70,10 +72,11 @@
     if (place) { draw(place); idle(drawRest); } else if (onSensors) comac(onSensors);
   };
   window.addEventListener("load", () => idle(drawRest));
-  modetune.drawAll = () => places.forEach(draw);
+  modetune.drawAll = () => { places.forEach(draw); if (onSensors) comac(onSensors); };
   window.addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
     modetune.drawAll();
+    spaces.forEach((space) => space.still());
   });
 
   // Marks the visible section in the contents.

@@ -12,6 +12,7 @@ import hashlib
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ HERE = Path(__file__).resolve().parent
 LONG = 40
 #: Maximum number of singular values to print: a field has hundreds.
 MOST_NUMBERS = 40
+#: Size of the summary's picture in inches: on a phone's first screen with the verdict.
+PICTURE = (5.2, 2.5)
 
 
 #: A hyphen before a number.
@@ -173,6 +176,8 @@ def prose(text: str) -> Markup:
 def _charts(record: CampaignRecord, shown: Scene | None) -> dict[str, Chart]:
     """All charts of the page by name; shapes over the sensors only without a scene."""
     found = dict(campaign_charts(record))
+    picture = found["frequencies"].alone(1)
+    found["errors"] = replace(picture, description="frequency errors", size=PICTURE)
     if shown is not None:
         found.pop("sensor_shapes", None)
     return found

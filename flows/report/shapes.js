@@ -218,10 +218,8 @@
     function save(blob, kind) {
       const { test, model } = chosen();
       const name = ["mode", test && test.label, model && "model-" + model.label, now.state].filter(Boolean)
-        .join("-").replace(/[^\w.-]+/g, "_");
-      const link = element("a", { href: URL.createObjectURL(blob), download: name + "." + kind });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+        .join("-");
+      modetune.save(blob, name + "." + kind);
     }
     function film() {
       const kept = now.phase;

@@ -306,6 +306,15 @@ const modetune = {};
       space.resize(...kept);
       return { width: w, height: h, data: out };
     };
+    // The drawing as a second canvas next to it, for print: WebGL's own is empty there.
+    space.still = () => {
+      if (!space.width) space.resize(canvas.clientWidth, canvas.clientHeight, 2);
+      space.draw();
+      const kept = canvas.parentElement.querySelector(".still") || Object.assign(document.createElement("canvas"), { className: "still" });
+      Object.assign(kept, { width: canvas.width, height: canvas.height });
+      kept.getContext("2d").drawImage(canvas, 0, 0);
+      canvas.after(kept);
+    };
     space.png = () => new Promise((done) => { space.draw(); canvas.toBlob(done, "image/png"); });
 
     // Dragging rotates, with shift or two fingers it moves; wheel and pinch zoom when in focus.

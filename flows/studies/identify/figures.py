@@ -12,7 +12,19 @@ import numpy as np
 from modetune.core.measurement.stabilisation import OrderPoles, Stability
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.flows.report.campaign_charts import responses
-from modetune.flows.report.chart import AFTER, TEST, Axis, Chart, Curve, HeatMap, Panel, Rule
+from modetune.flows.report.chart import (
+    AFTER,
+    BEFORE,
+    GREY,
+    PARAMETER_COLOURS,
+    TEST,
+    Axis,
+    Chart,
+    Curve,
+    HeatMap,
+    Panel,
+    Rule,
+)
 from modetune.flows.report.matplotlib_charts import save_all
 from modetune.flows.report.page import write_chart
 from modetune.flows.report.response_functions import ResponseCurve
@@ -20,9 +32,9 @@ from modetune.flows.studies.identify.identification import Identification
 
 #: Mark, colour, size and name of a pole, by what it agrees in with the order before.
 POLES: dict[Stability, tuple[str, str, float, str]] = {
-    Stability.NEW: ("o", "#C0C0C0", 2.0, "new"),
-    Stability.FREQUENCY: ("v", "#56B4E9", 3.5, "frequency"),
-    Stability.DAMPING: ("s", "#E69F00", 3.5, "frequency, damping"),
+    Stability.NEW: ("o", GREY, 2.0, "new"),
+    Stability.FREQUENCY: ("v", BEFORE, 3.5, "frequency"),
+    Stability.DAMPING: ("s", PARAMETER_COLOURS[4], 3.5, "frequency, damping"),
     Stability.STABLE: ("+", "#009E73", 5.5, "frequency, damping, shape: stable"),
 }
 

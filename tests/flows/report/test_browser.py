@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -372,3 +373,149 @@ def test_the_pointer_tells_a_point_and_an_axis_is_drawn_out(opened: Opened) -> N
     again.dblclick()
     again = opened.page.locator("#chart-convergence svg[role=img]").first
     assert again.locator("text.tick").all_text_contents() == ticks
+
+
+#: Contrast of each text of the page, and of each line and mark of its charts, with what is behind
+#: it (WCAG 2.1): [[ratio, least, what]], maps and grids left out.
+CONTRAST = """(() => {
+    const shares = (text) => text.match(/[\\d.]+/g).map(Number);
+    const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
+        .map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4))
+        .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
+    const ratio = (one, other) => {
+        const [low, high] = [light(one), light(other)].sort((a, b) => a - b);
+        return (high + 0.05) / (low + 0.05);
+    };
+    const behind = (node) => {
+        for (let at = node; at; at = at.parentElement) {
+            const found = shares(getComputedStyle(at).backgroundColor);
+            if (found.length < 4 || found[3] > 0) return found;
+        }
+        return [255, 255, 255];
+    };
+    const found = [], seen = (node) => node.getClientRects().length > 0;
+    const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    while (walker.nextNode()) {
+        const text = walker.currentNode, node = text.parentElement;
+        if (!text.textContent.trim() || !seen(node) || node.tagName === "OPTION") continue;
+        const style = getComputedStyle(node), drawn = node instanceof SVGElement;
+        const paper = node.classList.contains("value")
+            ? shares(getComputedStyle(node.previousElementSibling).fill) : behind(node);
+        found.push([ratio(shares(drawn ? style.fill : style.color), paper), 4.5,
+            `${node.tagName} ${node.className.baseVal ?? node.className}: ${text.textContent}`]);
+    }
+    for (const node of document.querySelectorAll(
+        ".chart svg g[clip-path] :is(path, circle, line, rect:not(.cell)), .legend svg *")) {
+        const style = getComputedStyle(node);
+        const colours = [style.stroke, style.fill].filter((one) => one.startsWith("rgb"));
+        if (!seen(node) || !colours.length) continue;
+        const best = Math.max(...colours.map((one) => ratio(shares(one), behind(node))));
+        found.push([best, 3.0, `${node.tagName} of ${node.closest(".chart").id}: ${colours}`]);
+    }
+    return found;
+})()"""
+SIZES = (
+    "[...document.querySelectorAll('body *')].filter((one) => one.getClientRects().length && "
+    "[...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()))"
+    ".map((one) => parseFloat(getComputedStyle(one).fontSize))"
+)
+
+
+def open_all(opened: Opened) -> None:
+    opened.value("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    opened.value("modetune.drawAll()")
+    shown = "document.querySelector('#chart-mac svg')"
+    opened.wait(f"{shown} !== null")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_every_text_and_line_is_seen_against_what_is_behind_it(
+    open_page: Open, record: CampaignRecord, width: int, scheme: str
+) -> None:
+    opened = open_page(record, width, color_scheme=scheme)
+    open_all(opened)
+    found = opened.value(CONTRAST)
+    assert len([least for _, least, _ in found if least == 3.0]) > 30
+    assert len(found) > 200
+    assert [(round(ratio, 2), what) for ratio, least, what in found if ratio < least] == []
+    assert min(opened.value(SIZES)) >= 9.0
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 800)])
+def test_the_first_screen_has_the_verdict_three_numbers_and_a_picture(
+    open_page: Open, record: CampaignRecord, width: int, height: int
+) -> None:
+    opened = open_page(record, width, screen={"width": width, "height": height})
+    opened.page.set_viewport_size({"width": width, "height": height})
+    opened.wait("document.querySelector('#chart-errors svg rect') !== null")
+    for place in (".ending", ".agreement dl div:nth-child(3)", "#chart-errors .panels"):
+        box = opened.page.locator(place).bounding_box()
+        assert 0 <= box["y"] < box["y"] + box["height"] <= height, place
+
+
+def test_the_first_control_of_the_result_is_two_keys_away(opened: Opened) -> None:
+    opened.wait("document.querySelector('#chart-errors .csv') !== null")
+    opened.page.keyboard.press("Tab")
+    assert opened.value("document.activeElement.textContent") == "Skip to the result"
+    opened.page.keyboard.press("Enter")
+    opened.page.keyboard.press("Tab")
+    assert opened.value("document.activeElement.className") == "csv"
+
+
+def test_each_chart_saves_its_numbers(opened: Opened) -> None:
+    open_all(opened)
+    shown = opened.value("[...document.querySelectorAll('[data-chart]')].map((one) => one.id)")
+    tables = {}
+    for place in shown:
+        with opened.page.expect_download() as waiting:
+            opened.page.locator(f"#{place} .csv").click()
+        name = waiting.value.suggested_filename
+        assert name == f"plate-{place.removeprefix('chart-')}.csv"
+        text = Path(waiting.value.path()).read_text(encoding="utf-8")
+        tables[place] = list(csv.DictReader(io.StringIO(text)))
+    assert len(tables) > 6
+    assert all(tables.values())
+    bars = [row for row in tables["chart-errors"] if row["series"] == "after"]
+    assert [row["test mode"] for row in bars] == ["1", "2", "5"]
+    # The model is 0.1 % above the test.
+    errors = [float(row["frequency error, %"]) for row in bars]
+    assert errors == pytest.approx([0.1] * 3, rel=1e-5)
+    cells = tables["chart-mac_map"]
+    assert {row["panel"] for row in cells} == {"before", "after"}
+    assert all(0.0 <= float(row["value"]) <= 1.0 for row in cells)
+    assert all(url.startswith(("file:", "blob:")) for url in opened.requests)
+    assert opened.complaints == []
+
+
+def test_a_name_that_looks_like_a_formula_is_text_in_the_csv(opened: Opened) -> None:
+    text = opened.value("""modetune.csv({ panels: [{ title: "", x: { label: "x", names: [] },
+        y: { label: "y", names: [] }, items: [{ kind: "Curve", name: '=HYPERLINK("a","b")',
+        x: [-1.5, null], y: [2, 3], labels: [], tooltips: [] }] }] })""")
+    assert text == "".join(
+        ["series,x,y\n", '"\'=HYPERLINK(""a"",""b"")",-1.5,2\n', '"\'=HYPERLINK(""a"",""b"")",,3\n']
+    )
+
+
+def test_print_has_all_of_it_within_its_width(opened: Opened) -> None:
+    opened.value("dispatchEvent(new Event('beforeprint'))")  # comes before print's own style
+    opened.page.emulate_media(media="print")
+    opened.page.set_viewport_size({"width": 720, "height": 1000})  # A4 with margins
+    opened.wait("document.querySelectorAll('.frame .still').length === 2")
+    assert opened.value("[...document.querySelectorAll('details')].every((one) => one.open)")
+    hidden = "getComputedStyle(document.querySelector('{}')).display"
+    assert opened.value(hidden.format("#shape-view canvas:not(.still)")) == "none"
+    for place in ("#shape-view", "#comac-view"):  # not one colour
+        colours = opened.value(f"""(() => {{
+            const kept = document.querySelector("{place} .still");
+            const data = kept.getContext("2d").getImageData(0, 0, kept.width, kept.height).data;
+            return new Set(new Uint32Array(data.buffer)).size;
+        }})()""")
+        assert colours > 10, place
+    cut = opened.value("""[...document.querySelectorAll("main :is(table, svg, canvas, pre, p, li)")]
+        .filter((one) => one.getClientRects().length
+            && one.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+        .map((one) => one.outerHTML.slice(0, 90))""")
+    assert cut == []
+    assert opened.page.pdf().startswith(b"%PDF")
+    assert opened.complaints == []
