@@ -296,7 +296,10 @@ class AddedCards:
 
 @dataclass(frozen=True, slots=True)
 class RigidLink:
-    """Nodes that a rigid element or body holds, and the node that they follow, 0 if unknown."""
+    """Nodes that a rigid element, a body or a tie holds, and the node that they follow.
+
+    leader: 0 if unknown; a tie has none.
+    """
 
     leader: int
     nodes: tuple[int, ...]

@@ -19,6 +19,8 @@ from modetune.core.modes import Floats
 
 #: Exact for the moments of quadratic elements with straight sides.
 GAUSS_POINTS = 4
+#: Steps to the nearest point of a face: two on a plane parallelogram, a few on others.
+NEAREST_STEPS = 20
 
 Point = tuple[float, ...]
 
@@ -174,6 +176,43 @@ def face_nodes(kind: CellKind, corners: Sequence[int]) -> tuple[tuple[int, ...],
             found.append(int(np.flatnonzero((shape.nodes == middle).all(axis=1))[0]))
     names = {3: "S3", 4: "S4", 6: "S6", 8: "S8R"}
     return tuple(found), SHAPES[names[len(found)]]
+
+
+def nearest_on_faces(shape: ElementShape, corners: Floats, places: Floats) -> tuple[Floats, Floats]:
+    """Shape functions (n, n_nodes) at the point of each face nearest to a place, and the distance.
+
+    corners: (n, n_nodes, 3), of triangles or quadrilaterals; places: (n, 3). By Gauss and Newton
+    within the face.
+    """
+    inverse = np.linalg.inv(_monomials(shape.exponents, shape.nodes))
+    at = np.full((len(places), 2), 1.0 / 3.0 if shape.simplex else 0.0)
+    for _ in range(NEAREST_STEPS):
+        away = places - _on(shape, at, inverse, corners)
+        tangents = np.stack(
+            [
+                np.einsum("mn,mnk->mk", _slopes(shape.exponents, at, axis) @ inverse, corners)
+                for axis in (0, 1)
+            ],
+            axis=2,
+        )
+        step = np.linalg.solve(
+            np.einsum("mka,mkb->mab", tangents, tangents),
+            np.einsum("mka,mk->ma", tangents, away)[..., None],
+        )[..., 0]
+        at = at + step
+        if shape.simplex:
+            at = at - np.maximum(at.sum(axis=1, keepdims=True) - 1.0, 0.0) / 2.0
+            at = np.clip(at, 0.0, 1.0)
+            at = at / np.maximum(at.sum(axis=1, keepdims=True), 1.0)
+        else:
+            at = np.clip(at, -1.0, 1.0)
+    values = _monomials(shape.exponents, at) @ inverse
+    return values, np.linalg.norm(places - _on(shape, at, inverse, corners), axis=1)
+
+
+def _on(shape: ElementShape, at: Floats, inverse: Floats, corners: Floats) -> Floats:
+    """Places (n, 3) of faces at natural coordinates (n, 2)."""
+    return np.asarray(np.einsum("mn,mnk->mk", _monomials(shape.exponents, at) @ inverse, corners))
 
 
 def _monomials(exponents: Floats, at: Floats) -> Floats:

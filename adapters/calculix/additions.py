@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from modetune.adapters.calculix.constraints import held_by, node_sets
 from modetune.adapters.calculix.deck import KeywordCard
+from modetune.adapters.calculix.mesh import read_places
 from modetune.adapters.calculix.structure import CalculixStructure
+from modetune.adapters.calculix.ties import card_terms
 from modetune.adapters.deck_files import text_with
 from modetune.adapters.solver import AddedCards, Addition
 from modetune.core.errors import ModelError
@@ -105,23 +109,32 @@ def _springs(
 def _joint(
     structure: CalculixStructure, mesh: Mesh, addition: Addition, element: int, number: int
 ) -> tuple[list[str], tuple[Quantity, TargetKind, tuple[str, ...], float], list[int]]:
-    """Return springs between a rigid body and its nodes, their numbers, and lines to comment out.
+    """Return springs between a rigid body or a master surface and the nodes that it leads, their
+    numbers, and lines to comment out.
 
-    The body gets nodes of its own at the same places. What does not yield stays tied by equations.
+    The leader gets nodes of its own at the same places. What does not yield stays tied by
+    equations.
     """
     deck, sets = structure.deck, node_sets(structure)
     nodes, value = sorted(addition.nodes), addition.values[0]
-    cards = [
-        card
+    cards: list[tuple[KeywordCard, dict[int, dict[int, float]]]] = [
+        (card, {})
         for card in deck.named("*RIGID BODY")
         if sets.get(card.option("NSET"), set()) - {_reference(card)} == set(nodes)
     ]
+    places = read_places(deck)
+    cards += [
+        (card, terms)
+        for card in deck.named("*TIE")
+        if (terms := card_terms(structure, card, sets, places) or {}).keys() == set(nodes)
+    ]
     if len(cards) != 1:
         raise ModelError(
-            f"{deck.file}: a link that yields is replaced where one *RIGID BODY, with NSET, has "
-            f"exactly its nodes ({len(cards)} have them)"
+            f"{deck.file}: a link that yields is replaced where one *RIGID BODY, with NSET, or one "
+            f"*TIE has exactly its nodes ({len(cards)} have them)"
         )
-    lines = [deck.lines[position] for position in cards[0].lines]
+    card, terms = cards[0]
+    lines = [deck.lines[position] for position in card.lines]
     if any(line.file != deck.file for line in lines):
         raise ModelError(f"{lines[0].where}: links are replaced in the main file alone")
     first = max(structure.summary.node_ids) + 1
@@ -131,10 +144,13 @@ def _joint(
     for node, twin in twins.items():
         x, y, z = _place(mesh, node)
         made.append(f"{twin}, {x:.9g}, {y:.9g}, {z:.9g}")
-    ends = [f"REF NODE={_reference(cards[0])}"]
-    if rotation := cards[0].option("ROTNODE"):
-        ends.append(f"ROT NODE={rotation}")
-    made.append(f"*RIGID BODY, NSET={name}, {', '.join(ends)}")
+    if terms:
+        made += ["*EQUATION", *_equations(twins, terms)]
+    else:
+        ends = [f"REF NODE={_reference(card)}"]
+        if rotation := card.option("ROTNODE"):
+            ends.append(f"ROT NODE={rotation}")
+        made.append(f"*RIGID BODY, NSET={name}, {', '.join(ends)}")
     axes = (addition.component,) if addition.component else (1, 2, 3)
     names = []
     for axis in axes:
@@ -150,6 +166,17 @@ def _joint(
                 made += ["2", f"{node}, {axis}, 1., {twin}, {axis}, -1."]
     comments = [line.number for line in lines]
     return made, ("spring_stiffness", ELSET, tuple(names), value), comments
+
+
+def _equations(twins: dict[int, int], terms: dict[int, dict[int, float]]) -> Iterator[str]:
+    """Lines of equations that make twins of slave nodes move as *TIE made these; four terms a
+    line, as ccx reads them."""
+    for node, twin in twins.items():
+        for axis in (1, 2, 3):
+            own = [f"{twin}, {axis}, -1."]
+            own += [f"{other}, {axis}, {_real(f)}" for other, f in terms[node].items()]
+            yield str(len(own))
+            yield from (", ".join(own[place : place + 4]) for place in range(0, len(own), 4))
 
 
 def _reference(card: KeywordCard) -> int:

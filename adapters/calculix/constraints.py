@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from modetune.adapters.calculix.deck import KeywordCard, canonical_name, read_number
 from modetune.adapters.calculix.mesh import generated
 from modetune.adapters.calculix.steps import modal_step, read_steps
 from modetune.adapters.calculix.structure import NOT_FOLLOWED, CalculixStructure
+from modetune.adapters.calculix.ties import tie_terms
 from modetune.core.errors import ModelError
 from modetune.core.mesh import Fixed
 
@@ -28,30 +30,43 @@ class Body:
 class Constraints:
     """held: degrees of freedom of *BOUNDARY, in the node's own axes where it is turned.
 
-    dependent: of each dependent one of *EQUATION its terms, u = sum of factor times u_term.
-    terms: all terms of equations. bodies: rigid bodies of their nodes; a rotation of 0 is
-    not known. turned: nodes of *TRANSFORM. followed: whether the deck has no other ties.
+    dependent: of each dependent one of *EQUATION and *TIE its terms, u = sum of factor times
+    u_term. terms: all terms of these. tied: slave nodes of *TIE. bodies: rigid bodies of their
+    nodes; a rotation of 0 is not known. turned: nodes of *TRANSFORM. followed: whether the deck has
+    no other ties.
     """
 
     held: frozenset[Dof]
     dependent: dict[Dof, dict[Dof, float]]
     terms: frozenset[Dof]
+    tied: frozenset[int]
     bodies: dict[int, Body]
     turned: frozenset[int]
     followed: bool
 
 
+@lru_cache(maxsize=1)  # nearest points of a large surface take long
 def read_constraints(structure: CalculixStructure) -> Constraints:
     """All ties of the deck. Raises ModelError where a number is none."""
     sets = node_sets(structure)
     equations = _equations(structure)
     bodies = _bodies(structure, sets)
-    followed = not structure.deck.named(*NOT_FOLLOWED) and equations is not None
-    dependent = equations or {}
+    tied = tie_terms(structure, sets)
+    followed = (
+        not structure.deck.named(*NOT_FOLLOWED) and equations is not None and tied is not None
+    )
+    held = frozenset(_held(structure, sets))
+    dependent = {
+        (node, axis): {(other, axis): factor for other, factor in terms.items()}
+        for node, terms in (tied or {}).items()
+        for axis in (1, 2, 3)
+        if (node, axis) not in held
+    } | (equations or {})
     return Constraints(
-        held=frozenset(_held(structure, sets)),
+        held=held,
         dependent=dependent,
         terms=frozenset(dependent).union(*dependent.values()) if dependent else frozenset(),
+        tied=frozenset(tied or ()),
         bodies=bodies,
         turned=frozenset(
             node
@@ -177,7 +192,7 @@ def _bodies(structure: CalculixStructure, sets: dict[str, set[int]]) -> dict[int
     above all nodes, as long as no other card before makes nodes (*BOUNDARY in turned axes does).
     """
     cards = structure.deck.named("*RIGID BODY")
-    alone = len(cards) == 1 and not structure.deck.named("*TRANSFORM", *NOT_FOLLOWED)
+    alone = len(cards) == 1 and not structure.deck.named("*TRANSFORM", "*TIE", *NOT_FOLLOWED)
     made = max(structure.mesh.nodes) + 1 if alone else 0
     found = {}
     for card in cards:

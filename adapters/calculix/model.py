@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from modetune.adapters.calculix.additions import with_addition
 from modetune.adapters.calculix.affected_elements import Place, affected_elements_of
 from modetune.adapters.calculix.cards import ACROSS, CARDS, first_value, powers_of
@@ -40,7 +42,7 @@ from modetune.adapters.solver import (
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import ModelError
 from modetune.core.expressions import degree
-from modetune.core.mesh import Fixed, Mesh, cell_sizes
+from modetune.core.mesh import Fixed, Mesh, cell_sizes, part_labels
 from modetune.core.modes import Floats, Integers
 from modetune.core.parameters import DAMPING, Parameter, TargetKind, Values, assigned, driven_by
 from modetune.core.updating.damping_model import DampingModel
@@ -81,7 +83,10 @@ class CalculixModel(Deck):
 
     @cached_property
     def summary(self) -> ModelSummary:
-        return self.structure.summary
+        found = self.structure.summary
+        if not found.matrix_shapes or not self.structure.deck.named("*TIE"):
+            return found
+        return replace(found, matrix_shapes=read_constraints(self.structure).followed)
 
     @cached_property
     def _mesh(self) -> Mesh:
@@ -243,14 +248,20 @@ class CalculixModel(Deck):
 
     def released(self) -> tuple[Deck, tuple[RigidLink, ...]]:
         deck = self.structure.deck
-        cards = [card for card in deck.named("*BOUNDARY", "*RIGID BODY")]
+        constraints = read_constraints(self.structure)
+        ties = ("*TIE",) if constraints.tied else ()
+        cards = [card for card in deck.named("*BOUNDARY", "*RIGID BODY", *ties)]
         changed = {line: "**" for card in cards for line in card.lines}
         bodies: dict[int, list[int]] = {}
-        for node, body in read_constraints(self.structure).bodies.items():
+        for node, body in constraints.bodies.items():
             bodies.setdefault(body.reference, []).append(node)
-        links = tuple(RigidLink(leader, tuple(sorted(own))) for leader, own in bodies.items())
+        links = [RigidLink(leader, tuple(sorted(own))) for leader, own in bodies.items()]
+        mesh = self.mesh()
+        tied = np.array(sorted(constraints.tied), dtype=np.int64)
+        labels = part_labels(mesh, tied)
+        links += [RigidLink(0, tuple(tied[labels == n].tolist())) for n in np.unique(labels)]
         structure = understand(with_added(deck, changed, {}))
-        return CalculixModel(structure, self.parameters), links
+        return CalculixModel(structure, self.parameters), tuple(links)
 
     def with_cards(self, addition: Addition) -> AddedCards:
         return with_addition(self.structure, self.mesh(), addition, self.fixed())

@@ -16,7 +16,7 @@ from modetune.adapters.solver import ModelSummary
 DEPENDENT = ("*EQUATION", "*RIGID BODY", "*MPC", "*TIE", "*COUPLING", "*DISTRIBUTING COUPLING")
 
 #: Those of them that are not followed to the unknowns they depend on.
-NOT_FOLLOWED = (*DEPENDENT[2:], "*CYCLIC SYMMETRY MODEL", "*PRE-TENSION SECTION")
+NOT_FOLLOWED = ("*MPC", *DEPENDENT[4:], "*CYCLIC SYMMETRY MODEL", "*PRE-TENSION SECTION")
 
 #: Elements whose printed strain energy is zero (SPRINGA, users' own) or lacks the hourglass part.
 WITHOUT_ENERGY = re.compile(r"SPRINGA|U.*|C3D8R|(S|M3D|CPS|CPE|CAX)4R")

@@ -183,7 +183,8 @@ def _groups(
     for link in sorted(links, key=lambda item: -len(item.nodes))[:LINKS]:
         rows = np.flatnonzero(~there & ~held & np.isin(free.nodes, link.nodes))
         if rows.size:
-            text = f"rigid link of node {link.leader} to {_named(np.array(link.nodes))}"
+            own = _named(np.array(link.nodes))
+            text = f"rigid link of node {link.leader} to {own}" if link.leader else f"tie of {own}"
             yield text, False, link.nodes, rows
 
 

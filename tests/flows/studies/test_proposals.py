@@ -324,6 +324,68 @@ def linked(stiffness: float = 0.0) -> Structure:
     return replace(block((1, 3)), deck=free + body + held)
 
 
+def tied(stiffness: float = 0.0) -> Structure:
+    """A cantilever of two halves of solids, tied; or joined by springs along x of a stiffness."""
+    number = {
+        (half, i, j, k): 1 + 100 * half + 4 * i + 2 * j + k
+        for half in (0, 1) for i in range(4) for j in (0, 1) for k in (0, 1)
+    }  # fmt: skip
+    text = "*NODE, NSET=NALL\n" + "".join(
+        f"{n}, {25.0 * (i + 3 * half)}, {40.0 * j}, {9.0 * k}\n"
+        for (half, i, j, k), n in number.items()
+    )
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    for half, name in enumerate(("ROOT", "TIP")):
+        text += f"*ELEMENT, TYPE=C3D8I, ELSET={name}\n"
+        for i in range(3):
+            own = [number[half, i + a, b, c] for c in (0, 1) for a, b in corners]
+            text += f"{1 + i + 10 * half}, {', '.join(map(str, own))}\n"
+        text += f"*MATERIAL, NAME={name}\n*ELASTIC\n70000., 0.33\n*DENSITY\n2.7e-9\n"
+        text += f"*SOLID SECTION, ELSET={name}, MATERIAL={name}\n"
+    ends = [(number[0, 3, j, k], number[1, 0, j, k]) for j in (0, 1) for k in (0, 1)]
+    if stiffness:
+        text += "*ELEMENT, TYPE=SPRING2, ELSET=SOFT\n"
+        text += "".join(f"{900 + n}, {a}, {b}\n" for n, (a, b) in enumerate(ends))
+        text += f"*SPRING, ELSET=SOFT\n1, 1\n{stiffness}\n"
+        for axis in (2, 3):
+            text += "".join(f"*EQUATION\n2\n{b}, {axis}, 1., {a}, {axis}, -1.\n" for a, b in ends)
+    else:
+        text += "*SURFACE, NAME=END\n3, S4\n*SURFACE, NAME=START\n11, S6\n"
+        text += "*TIE, NAME=JOINT, POSITION TOLERANCE=1.\nSTART, END\n"
+    held = [number[0, 0, j, k] for j in (0, 1) for k in (0, 1)]
+    text += "*BOUNDARY\n" + "".join(f"{n}, 1, 3\n" for n in held)
+    places = ((0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3))
+    sensors = tuple(number[half, i, j, 1] for half, i in places for j in (0, 1))
+    parameters = tuple(
+        {"name": f"E_{name}", "quantity": "youngs_modulus", "material": name}
+        for name in ("ROOT", "TIP")
+    )
+    return Structure("tied", text, parameters, sensors, 6)
+
+
+@needs_ccx
+def test_a_tie_that_yields_is_found_with_its_stiffness(tmp_path: Path) -> None:
+    truth = {"E_ROOT": 1.05, "E_TIP": 0.95}
+    with searched(tied(), tied(50000.0), truth, tmp_path, noise=3) as search:
+        best = search.ranked().found[0]
+    assert best.change.label == "tie of 4 nodes (101 to 104), x yields"
+    assert abs(np.log(best.amplitudes[0] / 50000.0)) < SURE * best.errors[0]
+    assert best.theta == pytest.approx([1.05, 0.95], abs=0.05)
+
+
+@needs_ccx
+def test_a_tie_becomes_a_joint(tmp_path: Path) -> None:
+    """As in the deck that has the joint from the start."""
+    given = _loaded(tied(), tmp_path / "given")
+    added = Addition("link", (101, 102, 103, 104), 1, (50000.0,))
+    cards = given.case.solver.deck.with_cards(added)
+    assert "** *TIE, NAME=JOINT" in cards.text
+    soft = _loaded(replace(tied(), deck=cards.text), tmp_path / "soft")
+    expected = modetune.modes(_loaded(tied(50000.0), tmp_path / "hand")).elastic.frequencies_hz
+    # Printed with seven digits, in another order of equations.
+    assert modetune.modes(soft).elastic.frequencies_hz == pytest.approx(expected, rel=1e-6)
+
+
 @needs_ccx
 def test_a_rigid_body_becomes_a_joint_in_a_calculix_deck(tmp_path: Path) -> None:
     """As in the deck that has the joint from the start."""
