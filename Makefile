@@ -26,7 +26,8 @@ quick: $(VENV)/.ready-dev
 # `mutations` and `kills`, which go on where an interrupted night stopped.
 nightly: $(VENV)/.ready-dev
 	$(PYTEST) -m "" --hypothesis-profile=nightly; tests=$$?; \
-	$(MAKE) mutations; mutations=$$?; $(MAKE) kills && [ $$tests$$mutations = 00 ]
+	$(BIN)/python -m benchmarks.mutations $(MUTATIONS_FLAGS); mutations=$$?; \
+	$(BIN)/python -m benchmarks.kills $(KILLS_FLAGS) && [ $$tests$$mutations = 00 ]
 
 # The tests of Prefect's engine on the oldest Prefect that is allowed, and on the newest.
 prefect-versions: $(VENV)/.ready-dev

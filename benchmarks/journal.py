@@ -26,6 +26,7 @@ class Journal:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            self._file.close()
             raise SystemExit(f"another benchmark is writing {path}") from None
         self.results: dict[str, Any] = {}
         head, entries = _read(path)
@@ -50,6 +51,10 @@ class Journal:
     def end(self) -> None:
         """Note that all pieces are done."""
         self._append({"done": True})
+
+    def close(self) -> None:
+        """Let another benchmark have the journal."""
+        self._file.close()
 
     def _append(self, entry: Mapping[str, Any]) -> None:
         self._file.write(f"{json.dumps(entry)}\n")

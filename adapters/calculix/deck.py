@@ -94,6 +94,10 @@ class KeywordDeck:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
+    _materials: dict[str, list[KeywordCard]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
     def named(self, *keywords: str) -> list[KeywordCard]:
         """All cards of these keywords, in order."""
         if not self._places:  # found once: decks with thousands of cards are asked for each
@@ -104,6 +108,18 @@ class KeywordDeck:
         wanted = {canonical_name(keyword) for keyword in keywords}
         places = sorted(place for name in wanted for place in self._places.get(name, ()))
         return [self.cards[place] for place in places]
+
+    def of_material(self, name: str) -> list[KeywordCard] | None:
+        """The cards that follow the *MATERIAL cards of a name, in order; None if it has none."""
+        if not self._materials:
+            found, cards = dict[str, list[KeywordCard]](), list[KeywordCard]()
+            for card in self.cards:
+                if card.keyword == "*MATERIAL":
+                    cards = found.setdefault(card.option("NAME"), [])
+                else:
+                    cards.append(card)
+            self._materials.update(found)
+        return self._materials.get(name)
 
     def where(self, card: KeywordCard) -> str:
         return self.lines[card.lines.start].where

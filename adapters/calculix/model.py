@@ -117,8 +117,9 @@ class CalculixModel(Deck):
     def elastic_constants(self) -> dict[str, tuple[float, float]]:
         """E, the largest one, and density (0 without) of each material that elements use."""
         found = {}
-        for card in self.structure.deck.named("*MATERIAL"):
-            name, density = card.option("NAME"), 0.0
+        cards = self.structure.deck.named("*MATERIAL")
+        for name in dict.fromkeys(card.option("NAME") for card in cards):
+            density = 0.0
             with suppress(ModelError):  # a material without density has stiffness alone
                 density = fields_of(self.structure, "density", name)[0].value
             with suppress(ModelError):  # not used, or no such card

@@ -189,19 +189,14 @@ def _owned(structure: CalculixStructure, row: Keyword, name: str) -> list[Keywor
 
 
 def _of_material(structure: CalculixStructure, row: Keyword, name: str) -> list[KeywordCard]:
-    names = [card.option("NAME") for card in structure.deck.named("*MATERIAL")]
-    if name not in names:
+    cards = structure.deck.of_material(name)
+    if cards is None:
+        names = [card.option("NAME") for card in structure.deck.named("*MATERIAL")]
         raise ModelError(f"the deck has no material {name}{suggestion(name, names)}")
     users = structure.users({name})
     if not any(structure.mesh.element_sets.get(card.option("ELSET")) for card in users):
         raise ModelError(f"no element uses material {name}")
-    inside, cards = False, []
-    for card in structure.deck.cards:
-        if card.keyword == "*MATERIAL":
-            inside = card.option("NAME") == name
-        elif inside and card.is_one_of(row.name):
-            cards.append(card)
-    return cards
+    return [card for card in cards if card.is_one_of(row.name)]
 
 
 def _picked(found: list[KeywordField], name: str, parameter: Parameter) -> list[KeywordField]:

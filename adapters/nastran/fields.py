@@ -39,6 +39,8 @@ COPIES = ("=", "*(")
 LOST = "+"
 #: A card is repeated at most so often: more is a slip that would fill the memory.
 MOST_COPIES = 1_000_000
+#: Fields of a line; Nastran reads ten, and scripts write some thousands.
+MOST_FIELDS = 20_000
 #: Characters free field keeps of a number: eight, or sixteen in a line with a `*`.
 SMALL, LARGE = 8, 16
 #: A comma in these columns makes a line free field; one further on is part of a field.
@@ -246,6 +248,8 @@ def _row(line: Line, position: int) -> CardRow:
         if row is not None:
             return row
     free = _is_free(data)
+    if (count := data.count(",")) > MOST_FIELDS:
+        raise ModelError(f"{line.where}: {count:,} fields in one line, more than Nastran reads")
     first, *spans = _free_spans(data) if free else _fixed_spans(data)
     head = data[first[0] : first[1]].strip().upper()
     large = head.startswith("*") or head.endswith("*")
