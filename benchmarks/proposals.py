@@ -296,7 +296,7 @@ def _right(
     if alike is None:
         return False
     refined = exact.refined(alike, exact.screened(alike)[1])
-    return refined is not None and refined[1] < ALIKE
+    return refined is not None and refined.misfit < ALIKE
 
 
 def _has(family: str, kind: str) -> bool:
