@@ -35,7 +35,7 @@ import numpy as np
 from tests.flows.records import differences
 from tests.flows.studies.test_time_histories import driven, write_csv
 from tests.flows.updating.test_same_bits import LONG, SHORT
-from tests.flows.updating.test_stored_matrices import OWN, STORED, written
+from tests.flows.updating.test_stored_matrices import DENSITY, OWN, STORED, written
 
 from modetune.core.storage.files import WRITTEN_S
 from modetune.flows.cli.main import main as modetune
@@ -152,8 +152,8 @@ KINDS: dict[str, tuple[Command, ...]] = {
     ),
     "fleet": (
         Command(
-            ("fleet", "part.yaml", "other.yaml", "--update", *ALONE, "--set", SHORT),
-            ("part/campaign.h5", "other/campaign.h5"),
+            ("fleet", "part.yaml", "twin.yaml", "--update", *ALONE, "--set", SHORT),
+            ("part/campaign.h5", "twin/campaign.h5"),
         ),
     ),
     "go": (Command((*GO, *ALONE, "--out", "go.yaml"), ("part/campaign.h5", "case/go.yaml")),),
@@ -383,7 +383,7 @@ class Field:
             first_s, then_s = first_s + 1.0, then_s + 0.5
             (place / "log-clock").write_text("+0")
         pid = self._start(command, place, fault)
-        found.faults[fault] += bool(fault)
+        found.faults.update([fault] * bool(fault))
         code = self._waits(pid, first_s, False)
         if code is None and fault == "disk":
             _fill(place / "full", int(self.random.integers(0, LEFT)))
@@ -504,10 +504,15 @@ class Field:
 
 
 def _write_case(folder: Path) -> None:
-    """Write two campaigns of one deck, two tests as they arrive, and a recording."""
+    """Write two campaigns of one deck and one of another, two tests as they arrive, a recording."""
     campaign = written(LONG, folder).read_text()
     other = "\n".join(line for line in campaign.splitlines() if "E_3" not in line)
     (folder / "other.yaml").write_text(other.replace("name: part", "name: other"))
+    # Updates beside each other that share results may have other last digits.
+    (folder / "twin.yaml").write_text(
+        campaign.replace("part", "twin").replace("twin.csv", "part.csv")
+    )
+    (folder / "twin.inp").write_text(LONG.deck.replace(DENSITY, "2.8e-9"))
     modes = (folder / "part.csv").read_text()
     (folder / "lab").mkdir()
     for number, days in ((1, 500), (2, 499)):  # before the earliest clock

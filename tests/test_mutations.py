@@ -119,6 +119,8 @@ SECTION = b"*SOLID SECTION, ELSET=BLOCK, MATERIAL=AL\n"
         ("draft by SOL 200, beam", b"DESVAR,1,", b"DESVAR,1\xbc", ""),
         ("translated Nastran deck", b"70.E9,,.3,", b"70.E9,,1.,", "Poisson's ratio 1 is too large"),
         ("CalculiX modes", b"\n", b"\n" + b"\n" * 300_000, ""),
+        ("F06", b"MSC Nastran", b"MSC Nastran" + b"A" * 100_000, ""),
+        ("F06", b"1.000000E+00", b"7" * 300_000 + b"1.000000E+00", "do not fit"),
         ("campaign", b"\n", b"\n# " + b"x" * 700_000 + b"\n", "has more than 1 MB"),
         ("table of a spreadsheet", b"Mode", b"A" + b" " * 100_000 + b"B", "the first row must be"),
         ("template", b":.9E}", b":.9999999999E}", "is not a format such as 12.5E"),

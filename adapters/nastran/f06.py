@@ -40,6 +40,8 @@ from modetune.core.modes import Floats
 
 #: Lines of a weight generator's table at most.
 WEIGHT_LINES = 80
+#: Characters of a line, of which programs print 132.
+LONGEST_LINE = 1000
 #: A heading has spaced letters; any of them closes the table before it.
 HEADING = re.compile(r"(?:\b[A-Z] ){4}")
 MESSAGE = re.compile(r"[0 ]?\s{0,4}(?:\*{3}|\^{3}) ")
@@ -351,6 +353,8 @@ class _Scan:
         for number, line in enumerate(lines):
             if not line.endswith("\n"):
                 line = "" if not END.search(line) else line  # cut within the line
+            if len(line) > LONGEST_LINE:
+                line = "\n"  # no line of a print file
             if number < BANNER_LINES and not self._version:
                 found = VERSION.search(line)
                 self._version = found.group() if found else ""
