@@ -152,7 +152,7 @@ KINDS: dict[str, tuple[Command, ...]] = {
     ),
     "fleet": (
         Command(
-            ("fleet", "part.yaml", "twin.yaml", "--update", *ALONE, "--set", SHORT),
+            ("fleet", "part.yaml", "twin.yaml", "--update", "--parallel", "1", *ALONE),
             ("part/campaign.h5", "twin/campaign.h5"),
         ),
     ),
@@ -508,7 +508,7 @@ def _write_case(folder: Path) -> None:
     campaign = written(LONG, folder).read_text()
     other = "\n".join(line for line in campaign.splitlines() if "E_3" not in line)
     (folder / "other.yaml").write_text(other.replace("name: part", "name: other"))
-    # Updates beside each other that share results may have other last digits.
+    # Updates in parallel have other last digits: they share results and threads of BLAS.
     (folder / "twin.yaml").write_text(
         campaign.replace("part", "twin").replace("twin.csv", "part.csv")
     )

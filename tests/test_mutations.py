@@ -123,6 +123,8 @@ SECTION = b"*SOLID SECTION, ELSET=BLOCK, MATERIAL=AL\n"
         ("F06", b"1.000000E+00", b"7" * 300_000 + b"1.000000E+00", "do not fit"),
         ("campaign", b"\n", b"\n# " + b"x" * 700_000 + b"\n", "has more than 1 MB"),
         ("table of a spreadsheet", b"Mode", b"A" + b" " * 100_000 + b"B", "the first row must be"),
+        ("draft for CalculiX", NODES, NODES + b"999,1e300,0.,0.\n", "coordinates expected"),
+        ("repeated tests", b"c,9.9,,0.012", b"c,9.9,,1e300", "1e300"),
         ("template", b":.9E}", b":.9999999999E}", "is not a format such as 12.5E"),
         ("template", b"{n_modes}", b"{n_modes:9999999999d}", "a number of modes is whole"),
         ("repeated tests", b"c,9.9,,0.012,0.025\n", b"c,9.9,,0.012,0.025\n" * 40, ""),

@@ -317,10 +317,14 @@ def _renamed(lines: Sequence[Line], place: Path, holder: Path) -> list[str]:
     return [f"{before}{quote}{place.as_posix()}{quote}{after}"]
 
 
+#: No number of a deck is larger, and its square is finite.
+LARGEST_VALUE = 1e150
+
+
 def read_number(text: str) -> float:
     """A number as ccx reads it: 7.1E4, 7.1d4 and 7.1+4 are one. Raises ValueError."""
     plain = re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", text.strip().upper().replace("D", "E"))
     value = float(plain)
-    if not math.isfinite(value):
+    if not abs(value) < LARGEST_VALUE:
         raise ValueError(f"{text} is not finite")
     return value

@@ -20,6 +20,7 @@ import numpy as np
 
 from modetune.adapters.calculix.deck import (
     FIELD_WIDTH,
+    LARGEST_VALUE,
     KeywordCard,
     KeywordDeck,
     canonical_name,
@@ -329,9 +330,12 @@ def read_places(deck: KeywordDeck) -> dict[int, tuple[float, float, float]]:
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
         return read_number(text) if text.strip() else 0.0
+    if not abs(value) < LARGEST_VALUE:
+        raise ValueError(f"{text} is not finite")
+    return value
 
 
 def roles_of(kind: str) -> tuple[Role, ...]:

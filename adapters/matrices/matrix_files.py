@@ -57,8 +57,9 @@ from modetune.core.near_names import suggestion
 HDF5, OP4 = (".h5", ".hdf5"), ".op4"
 #: What SciPy and NumPy raise on files that are cut, damaged or something else.
 NO_ARRAYS = (
-    ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, OverflowError,
-    RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError,
+    ValueError, KeyError, TypeError, AttributeError, SyntaxError, IndexError, EOFError,
+    OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error,
+    tokenize.TokenError,
 )  # fmt: skip
 
 

@@ -368,10 +368,14 @@ def _blank(data: str, position: int, place: int) -> CardField:
 
 
 def large_field(name: str, fields: Sequence[str]) -> str:
-    """A card in large field: four data fields of 16 columns a line."""
-    texts = [
-        text if len(text) <= LARGE else format_number(read_number(text), LARGE) for text in fields
-    ]
+    """A card in large field: four data fields of 16 columns a line. Raises ModelError."""
+    try:
+        texts = [
+            text if len(text) <= LARGE else format_number(read_number(text), LARGE)
+            for text in fields
+        ]
+    except ValueError as error:
+        raise ModelError(f"{name}: {str(error)[:100]}, and too long for a field") from error
     rows = [texts[start : start + 4] for start in range(0, len(texts), 4)] or [[]]
     if len(rows) % 2 and len(rows) > 1:
         rows.append([])  # MYSTRAN takes two lines for one, and breaks off where a ply has no second

@@ -195,9 +195,8 @@ def large_card(deck: NastranDeck, card: NastranCard) -> str:
     """Return a card in large field. Raises ModelError where a field does not fit into it."""
     try:
         return large_field(card.name, [card.text(place) for place in range(1, len(card.fields))])
-    except ValueError as error:
-        where = deck.lines[card.lines[0]].where
-        raise ModelError(f"{where}: {card.name}: {error}, and too long for a field") from error
+    except ModelError as error:
+        raise ModelError(f"{deck.lines[card.lines[0]].where}: {error}") from error
 
 
 def _text(deck: NastranDeck, changed: Mapping[int, str], position: int) -> str:

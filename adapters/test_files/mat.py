@@ -76,7 +76,7 @@ LEAST_TIMES = 17
 #: What SciPy raises on files that are damaged or something else.
 _BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, OSError, EOFError, AttributeError),
-    *(MemoryError, NotImplementedError, OverflowError, struct.error, zlib.error),
+    *(MemoryError, NotImplementedError, OverflowError, NameError, struct.error, zlib.error),
 )
 #: How files of version 5 mark the order of their bytes, and types of their elements.
 MARKS_5 = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}

@@ -24,6 +24,8 @@ SEPARATORS = (";", "\t", ",")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eEdD][+-]?[0-9]+)?")
 _HEADING = re.compile(r"(.*?)[\s:]*(?:[\[(]([^\])]*)[\])]|(?:/|\bin\b)\s*(\S+))?[\s:]*")
 
+#: No measured value is larger, and its square is finite.
+LARGEST = 1e150
 #: Characters of a heading that may have a meaning; a long text takes the pattern minutes.
 LONGEST_HEADING = 200
 #: Cells of a workbook, which take 4 us and 80 bytes each; a text is read ten times as fast.
@@ -118,11 +120,11 @@ def factor(where: str, meaning: str, unit: str, problems: list[str]) -> float:
 
 
 def number(text: str) -> float:
-    """Return a number with a decimal point or comma; NaN where it is none, or is not finite."""
+    """Return a number with a decimal point or comma; NaN where it is none, or beyond LARGEST."""
     if _NUMBER.fullmatch(text) is None:
         return math.nan
     value = float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
-    return value if math.isfinite(value) else math.nan
+    return value if abs(value) < LARGEST else math.nan
 
 
 def row_values(row: TableRow, problems: list[str]) -> list[float]:

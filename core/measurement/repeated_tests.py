@@ -164,7 +164,7 @@ def _fitted(x: Floats, student: float) -> tuple[Floats, Floats]:
 
 def _squares(x: Floats, mean: Floats, covariance: Floats) -> Floats:
     """Squared distances d^2 of rows, of the values that are there, (n,)."""
-    found = np.zeros(len(x))
+    found, covariance = np.zeros(len(x)), covariance + NOTHING * np.eye(len(covariance))
     for place, row in enumerate(x):
         there = np.isfinite(row)
         off = (row - mean)[there]
