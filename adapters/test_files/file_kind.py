@@ -163,7 +163,7 @@ def _archive(path: Path) -> FileKind:
     try:
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()
-    except (zipfile.BadZipFile, ValueError, OSError):
+    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
         return FileKind("", "a ZIP archive or Office file that is cut short", "copy it again")
     if "xl/workbook.xml" in names:
         return FileKind("workbook", "an Excel workbook")
