@@ -23,6 +23,7 @@ from modetune.core.errors import ModelError
 from modetune.core.mesh import NOTHING_FIXED, Fixed, Mesh, shortest_length
 from modetune.core.modes import Integers
 from modetune.core.parameters import Parameter, Quantity, TargetKind, Values
+from modetune.core.storage.files import make_folder
 from modetune.core.storage.keys import Json
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.job_results import ModalResult, Result
@@ -136,7 +137,7 @@ class Rendered:
 
 def _write_texts(texts: Mapping[str, bytes], folder: Path) -> None:
     for name, text in texts.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        make_folder((folder / name).parent)
         (folder / name).write_bytes(text)
 
 

@@ -37,6 +37,8 @@ ENOENT, EINVAL = 2, 22
 IGNORED_BY_PYTHON = (13, 25)
 #: Bytes of output that the log has from its beginning, and from its end.
 HEAD = TAIL = 8 << 20
+#: A folder that is its group's: set-group-ID, and the group may write (`core/storage/files.py`).
+SHARED = 0o2020
 #: How often the disk is measured, and how long killed processes may take to end, seconds.
 LOOK_S, END_S = 1.0, 10.0
 
@@ -211,6 +213,9 @@ def supervise(
     """Run the program to its end or to the end of standard input; JSON that says how it ended."""
     try:
         os.chdir(folder)
+        mode = os.stat(".").st_mode  # noqa: PTH116  # pathlib costs time
+        if mode & SHARED == SHARED:  # another account may have to remove what the program leaves
+            os.umask(os.umask(0o077) & ~0o070)
         output = Output(log)
         source, target = os.pipe()
         program, failure = _start(target, arguments, environment)

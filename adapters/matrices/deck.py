@@ -60,7 +60,7 @@ from modetune.core.parameters import (
     assigned,
     driven_by,
 )
-from modetune.core.storage.files import storage_errors, writing
+from modetune.core.storage.files import make_folder, storage_errors, writing
 from modetune.core.updating.damping_model import DampingModel
 from modetune.core.updating.observation import Observation, observe
 from modetune.core.updating.parameter_matrices import ParameterMatrices
@@ -332,7 +332,7 @@ def write_index(file: YamlFile, model: MatrixModel, factors: Factors, folder: Pa
         rewrite_dmig(file.path.parent / source, folder / target, matrices, names)
     if "dofs" in file.data:
         listing = folder / within[("dofs",)]
-        listing.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(listing.parent)
         listing.write_bytes((file.path.parent / str(file.data["dofs"])).read_bytes())
     return file.replaced(words)
 

@@ -28,6 +28,7 @@ from modetune.adapters.nastran.fields import format_number
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers, dof_name
 from modetune.core.near_names import suggestion
+from modetune.core.storage.files import make_folder
 
 #: Names of files that have DMIG cards among others.
 BULK = (".bdf", ".dat", ".nas", ".dmig", ".pch", ".asm")
@@ -162,7 +163,7 @@ def rewrite_dmig(
             lines.append(line)
         elif name in left:
             lines += dmig_lines(name, left.pop(name), dofs)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     target.write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
 
 

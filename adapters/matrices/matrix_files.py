@@ -53,6 +53,7 @@ from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion
+from modetune.core.storage.files import make_folder
 
 HDF5, OP4 = (".h5", ".hdf5"), ".op4"
 #: What SciPy and NumPy raise on files that are cut, damaged or something else.
@@ -221,7 +222,7 @@ def write_matrix(folder: Path, reference: str, matrix: sparse.csr_array) -> None
     """Write a matrix where a reference says; others of an HDF5 or OUTPUT4 file stay."""
     file, name = split_reference(reference)
     path = folder / file
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     if path.suffix.lower() == ".mtx":
         scipy.io.mmwrite(path, sparse.coo_array(matrix), precision=17, symmetry="symmetric")
     elif path.suffix.lower() == ".npz":

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import socket
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ from modetune.core.machine import user_label
 REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.EISDIR)
 #: What it says of a disk or a share that does not work, and of a file larger than it takes.
 BROKEN = (errno.EIO, errno.ESTALE, errno.EFBIG)
+#: A folder whose content belongs to its group: set-group-ID, and the group may write.
+SHARED = stat.S_ISGID | stat.S_IWGRP
 #: A half-written file older than this many seconds is a leftover.
 WRITTEN_S = 3600.0
 
@@ -34,11 +37,13 @@ def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
     device or a pipe is written to directly.
     """
     with storage_errors(path, remedy):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         device = path.exists() and not path.is_file()
         folder = Path(tempfile.gettempdir()) if device else path.parent
         part = folder / f".{uuid4().hex}.part"
         part.touch(0o600 if device else 0o666, exist_ok=False)
+        if not device:
+            share(part)
         try:
             yield part
             with io.FileIO(part) as written:
@@ -50,6 +55,43 @@ def writing(path: Path, remedy: str = "name another place") -> Iterator[Path]:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def is_shared(folder: Path) -> bool:
+    """Return whether a folder belongs to a group: set-group-ID, and the group may write."""
+    return folder.stat().st_mode & SHARED == SHARED
+
+
+def share(path: Path) -> None:
+    """Let the group of a shared folder read and write a new path in it, whatever the umask.
+
+    Raises OSError.
+    """
+    if is_shared(path.parent):
+        mode = stat.S_IMODE(path.stat().st_mode)
+        path.chmod(mode | (SHARED | 0o070 if path.is_dir() else 0o060))
+
+
+def make_folder(path: Path) -> None:
+    """Create a folder and those above it, shared where the one above is. Raises OSError.
+
+    It appears with its permissions, so another account is never refused in between.
+    """
+    if path.is_dir():
+        return
+    make_folder(path.parent)
+    if not is_shared(path.parent):
+        path.mkdir(exist_ok=True)
+        return
+    part = path.with_name(f".{uuid4().hex}.part")
+    part.mkdir()
+    share(part)
+    try:
+        part.rename(path)
+    except OSError:
+        part.rmdir()
+        if not path.is_dir():  # else another process was first
+            raise
 
 
 def remove_parts(folder: Path) -> None:
@@ -69,7 +111,7 @@ def machine_user() -> str:
 def check_writable(folder: Path, remedy: str) -> None:
     """Fail now rather than after an hour's solving. Raises StorageUnavailable."""
     with storage_errors(folder / "any", remedy):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with tempfile.TemporaryFile(dir=folder):
             pass
 

@@ -13,12 +13,13 @@ import errno
 import io
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
-from modetune.core.storage.files import storage_errors
+from modetune.core.storage.files import is_shared, make_folder, share, storage_errors
 
 try:
     import fcntl
@@ -48,10 +49,9 @@ class FileLock:
         """Take the lock unless another has it. Raises StorageUnavailable."""
         with storage_errors(self.path):
             try:
-                handle = io.FileIO(self.path, "w")
-            except FileNotFoundError:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                handle = io.FileIO(self.path, "w")
+                handle = _opened(self.path)
+            except FileNotFoundError:  # another process has just removed it
+                return False
             if not HAS_FLOCK:
                 handle.close()
                 return self._take_lease()
@@ -114,8 +114,33 @@ class FileLock:
                 self._lease.acquire(blocking=False)
             except Timeout:
                 continue
+            with suppress(OSError):
+                share(Path(self._lease.lock_file))
             return True
         return False
+
+
+def _opened(path: Path) -> io.FileIO:
+    """Open a lock's file. Raises OSError.
+
+    In a shared folder it appears with its permissions, so another account is never refused.
+    """
+    make_folder(path.parent)
+    if not is_shared(path.parent):
+        return io.FileIO(path, "w")
+    if not path.exists():
+        part = path.with_name(f"{path.name}.{uuid4().hex}")
+        part.touch()
+        share(part)
+        try:
+            os.link(part, path)
+        except FileExistsError:
+            pass
+        except OSError:  # a file system without hard links
+            path.touch()
+        finally:
+            part.unlink()
+    return io.FileIO(path, "r+")
 
 
 def _is_removed(handle: io.FileIO) -> bool:

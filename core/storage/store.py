@@ -10,6 +10,9 @@ A file is written aside, flushed to disk and renamed, so an entry is whole or ab
 processes and machines may share the folder. An entry whose checksum does not match
 (`core/storage/sealed_file`) is set aside with a warning and counts as absent.
 
+In a folder that is set-group-ID and that its group may write, the group's members may read, write
+and remove every file and folder of the store, whoever made it and with whatever umask.
+
 The format before is read too, where its content has all that this one's has; `upgrade` rewrites
 such an entry. Entries of other formats, older or newer, are other files: they are left alone.
 """
@@ -36,7 +39,7 @@ from modetune.core.algebra.rigid_modes import COMPLETE
 from modetune.core.errors import StorageUnavailable, StoreDamaged, StoreError
 from modetune.core.measurement.registration import Registration
 from modetune.core.storage.codec import read_array, read_value, write_value
-from modetune.core.storage.files import check_writable, storage_errors, writing
+from modetune.core.storage.files import check_writable, make_folder, storage_errors, writing
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.sealed_file import content, holds, read_head, sealed
 from modetune.core.updating.job_results import ModalResult, ModesForecast, Result
@@ -305,7 +308,7 @@ class Store:
         """Move a damaged file away, unless another process has put a good one there since."""
         with storage_errors(path):
             target = self.folder / "damaged" / path.name
-            target.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(target.parent)
             with suppress(FileNotFoundError):  # another process found the same damage
                 if path.stat().st_ino != inode:
                     return

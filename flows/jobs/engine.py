@@ -13,6 +13,7 @@ import math
 import shutil
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -37,7 +38,7 @@ from modetune.core.errors import (
     StorageUnavailable,
     StoreDamaged,
 )
-from modetune.core.storage.files import storage_errors
+from modetune.core.storage.files import make_folder, storage_errors
 from modetune.core.storage.keys import Json, canonical_json, content_key
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.job_results import Result, finite
@@ -340,7 +341,9 @@ class JobEngine:
         with storage_errors(part):
             for old in (part, failed):
                 shutil.rmtree(old, ignore_errors=True)
-            part.mkdir(parents=True)
+                with suppress(FileNotFoundError):  # what another account may only remove
+                    old.rename(base / f"{uuid.uuid4().hex}.part")
+            make_folder(part)
             try:
                 yield part
             except (SolverError, ModelError) as error:

@@ -33,7 +33,7 @@ from typing import Literal
 
 from modetune.core.algebra.mumps import FactorFiles
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import WRITTEN_S, machine_user, storage_errors
+from modetune.core.storage.files import WRITTEN_S, machine_user, make_folder, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
 from modetune.flows.jobs.store_index import EntryFilter, query_index
@@ -203,10 +203,9 @@ def check(store: Store) -> tuple[int, list[Path]]:
 def _remove_idle(store: Store, item: StoreFile) -> bool:
     """Remove a file of a job unless the job is running by now."""
     with FileLock(store.folder / "locks" / item.path.name.partition(".")[0]) as lock:
-        lock.path.parent.mkdir(exist_ok=True)
         if not lock.take():
             return False
-        removed = item.what == "lock" or _remove(item.path)
+        removed = item.path.suffix == ".lease" or _remove(item.path)
         lock.remove()
         return removed
 
@@ -272,7 +271,7 @@ def factor_files(store: Store) -> FactorFiles:
     folder, lock = store.folder / "jobs" / f"{name}.part", FileLock(store.folder / "locks" / name)
     with storage_errors(folder):
         lock.take()  # free, because the name is new
-        folder.mkdir(parents=True)
+        make_folder(folder)
     files = FactorFiles(folder, partial(_remove_factors, folder, lock))
     weakref.finalize(files, files.remove)  # at the process's end too
     return files

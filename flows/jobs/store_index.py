@@ -29,7 +29,7 @@ from urllib.parse import quote
 import numpy as np
 
 from modetune.core.errors import StorageUnavailable
-from modetune.core.storage.files import machine_user
+from modetune.core.storage.files import machine_user, make_folder
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.store import FORMAT, Store
 from modetune.flows.jobs.job import JobNote
@@ -108,7 +108,7 @@ def _locked(path: Path) -> Iterator[bool]:
     ours = False
     try:
         if path.parent.parent.is_dir():
-            path.parent.mkdir(exist_ok=True)
+            make_folder(path.parent)
             while not (ours := lock.take()) and time.monotonic() < deadline:
                 time.sleep(0.01)
     except (OSError, StorageUnavailable) as error:

@@ -33,7 +33,7 @@ from modetune.core.monitoring.past_runs import (
     read_history,
 )
 from modetune.core.storage.campaign_record import CAMPAIGN, CampaignRecord
-from modetune.core.storage.files import storage_errors
+from modetune.core.storage.files import make_folder, storage_errors
 from modetune.core.storage.keys import Json
 from modetune.flows.campaign.schema import MonitoringSection
 from modetune.flows.report.report_file import FAILURES, PAGE
@@ -151,7 +151,7 @@ def _keep_files(folder: Path, run: PastRun, page: Path | None, keep: int) -> Non
         if not keep or place.exists():
             return
         shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
+        make_folder(part)
         for file in filter(None, (folder / CAMPAIGN.file, page)):
             if file.is_file():
                 _link(file, part / file.name)

@@ -298,6 +298,21 @@ def test_a_child_in_a_session_of_its_own_ends_with_its_program(
     assert gone(grandchild)
 
 
+@pytest.mark.parametrize(("mode", "expected"), [(0o2770, 0o770), (0o755, 0o700)])
+def test_a_folders_group_may_remove_what_a_program_leaves(
+    tmp_path: Path, mode: int, expected: int
+) -> None:
+    tmp_path.chmod(mode)
+    before = os.umask(0o077)
+    try:
+        process._supervisors.end()  # the next one begins with this umask
+        assert run(python("import os; os.mkdir('scratch')"), tmp_path).return_code == 0
+    finally:
+        os.umask(before)
+        process._supervisors.end()
+    assert (tmp_path / "scratch").stat().st_mode & 0o777 == expected
+
+
 def test_cancelling_ends_a_child_in_a_session_of_its_own(tmp_path: Path) -> None:
     class OnceItRuns(threading.Event):
         def is_set(self) -> bool:
