@@ -42,7 +42,11 @@ def store_and_campaign(given: Path | None) -> tuple[Store, Campaign | None]:
     from modetune.core.storage.store import Store
 
     place = given or Path(os.environ.get("MODETUNE_STORE") or ".modetune/store")
-    if not place.exists():
+    try:
+        there = place.exists()
+    except OSError as error:  # in a folder of another account
+        raise CampaignError(f"{place} cannot be read: {error.strerror}") from None
+    if not there:
         raise CampaignError(f"{place} does not exist; name a store or a campaign file with --store")
     if not place.is_file():
         return Store(place), None

@@ -1,4 +1,4 @@
-"""Parts that *TIE joins on unlike meshes, with sensors on the slave surface, from their matrices."""
+"""Parts that *TIE joins on unlike meshes, with sensors on the slave surface, by their matrices."""
 
 from __future__ import annotations
 
