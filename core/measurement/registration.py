@@ -198,6 +198,11 @@ class Poses:
     rotations: Floats
     translations: Floats
 
+    def within(self, scales: Floats) -> Poses:
+        """The same with scales no farther from these than SCALE_RANGE."""
+        held = np.clip(self.scales, scales / SCALE_RANGE, scales * SCALE_RANGE)
+        return replace(self, scales=held)
+
     def apply(self, points: Floats) -> Floats:
         """Points (n, 3), at each pose (m, n, 3)."""
         turned = np.matmul(points, self.rotations.transpose(0, 2, 1))
@@ -386,8 +391,7 @@ def promising(poses: Poses, points: Floats, samples: Floats, free: bool) -> Pose
         )
         poses = umeyamas(points, targets, away <= reach[:, None], poses.scales, free)
         if free:
-            held = np.clip(poses.scales, boxed / SCALE_RANGE, boxed * SCALE_RANGE)
-            poses = replace(poses, scales=held)
+            poses = poses.within(boxed)
     return poses.take(np.argsort(scores(poses), kind="stable")[: STARTED // 3])
 
 
@@ -547,6 +551,8 @@ class _Search:
                 away, to = self.nodes.query(tried.apply(some))
                 kept = away <= 1.5 * np.median(away, axis=1, keepdims=True) + near * pose.scales[0]
                 tried = umeyamas(some, self.nodes.data[to], kept, tried.scales, free)
+                if free:  # at scale 0 all points are on one node
+                    tried = tried.within(pose.scales)
             away = self.nodes.query(tried.apply(some))[0]
             hits = (away <= near * pose.scales[0]).mean(axis=1)
             if hits.max() >= most:
