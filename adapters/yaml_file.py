@@ -167,8 +167,9 @@ def _locate(
 def edited(source: YamlFile, changes: Mapping[Place, object]) -> str:
     """Return the text of a file with values of mappings set, or removed where they are None.
 
-    Lists may lead to the mappings. A mapping replaces the present one entry by entry, so entries
-    that stay keep their comments. Raises CampaignError where the text cannot be changed so.
+    Lists may lead to the mappings, and may lose an item. A mapping replaces the present one entry
+    by entry, so entries that stay keep their comments. Raises CampaignError where the text cannot
+    be changed so.
     """
     text, wanted, found = source.text, source.data, None
     with suppress(yaml.YAMLError, AttributeError):  # what leads there may not be a mapping
@@ -178,7 +179,7 @@ def edited(source: YamlFile, changes: Mapping[Place, object]) -> str:
         found = yaml.safe_load(text)
     if found != wanted:
         asked = "; ".join(
-            f"{'.'.join(map(str, place))}: {'(removed)' if value is None else _flow(value)}"
+            f"{'.'.join(map(str, place))}: {'(removed)' if value is None else flow_text(value)}"
             for place, value in changes.items()
         )
         raise CampaignError(
@@ -195,8 +196,11 @@ def _put(data: Any, place: Place, value: object) -> Any:
     if data is None and value is None:
         return None
     if isinstance(data, list):
+        gone = value is None and len(place) == 1
         return [
-            _put(item, place[1:], value) if at == place[0] else item for at, item in enumerate(data)
+            _put(item, place[1:], value) if at == place[0] else item
+            for at, item in enumerate(data)
+            if not (gone and at == place[0])
         ]
     inner = _put((data or {}).get(place[0]), place[1:], value)
     rest = {key: value for key, value in (data or {}).items() if key != place[0]}
@@ -212,6 +216,8 @@ def _set(text: str, place: Place, value: object) -> str:
     parents: list[tuple[yaml.MappingNode, int]] = []
     for depth, key in enumerate(place):
         if isinstance(node, yaml.SequenceNode) and isinstance(key, int):
+            if value is None and depth == len(place) - 1:
+                return _without(text, node, key)
             node = node.value[key]
             continue
         at = _entry(node, key)
@@ -250,12 +256,12 @@ def _entry(node: Any, key: str | int) -> int | None:
 def _replaced(text: str, node: yaml.Node, start: int, value: object) -> str:
     end = _end(text, node)
     before = " " if start and text[start - 1] == ":" else ""
-    return f"{text[:start]}{before}{_flow(value)}{text[end:]}"
+    return f"{text[:start]}{before}{flow_text(value)}{text[end:]}"
 
 
 def _inserted(text: str, node: yaml.MappingNode, key: str | int, value: object) -> str:
     """Return a new entry behind the last one of a mapping, in its style."""
-    end, entry = _end(text, node.value[-1][1]), f"{_flow(key)}: {_flow(value)}"
+    end, entry = _end(text, node.value[-1][1]), f"{flow_text(key)}: {flow_text(value)}"
     if node.flow_style:
         return f"{text[:end]}, {entry}{text[end:]}"
     line_end = "\r\n" if "\r\n" in text else "\n"
@@ -265,17 +271,21 @@ def _inserted(text: str, node: yaml.MappingNode, key: str | int, value: object) 
     return f"{text[:at]}{line_end}{indent}{entry}{text[at:]}"
 
 
-def _without(text: str, node: yaml.MappingNode, at: int) -> str:
-    """Return the text without an entry of a mapping."""
-    start, end = node.value[at][0].start_mark.index, _end(text, node.value[at][1])
+def _without(text: str, node: yaml.CollectionNode, at: int) -> str:
+    """Return the text without an entry of a mapping or an item of a list."""
+    # Each entry begins with the first and ends with the last node.
+    spans = [entry if isinstance(entry, tuple) else (entry, entry) for entry in node.value]
+    start, end = spans[at][0].start_mark.index, _end(text, spans[at][1])
     if node.flow_style:
         if at:
-            start = _end(text, node.value[at - 1][1])
-        elif len(node.value) > 1:
-            end = node.value[1][0].start_mark.index
+            start = _end(text, spans[at - 1][1])
+        elif len(spans) > 1:
+            end = spans[1][0].start_mark.index
         return text[:start] + text[end:]
-    if len(node.value) == 1:
-        return f"{text[:start]}{{}}{text[end:]}"
+    if len(spans) == 1:
+        if isinstance(node, yaml.MappingNode):
+            return f"{text[:start]}{{}}{text[end:]}"
+        return f"{text[: text.rindex(':', 0, start) + 1]} []{text[end:]}"
     start = text.rfind("\n", 0, start) + 1
     line = text.find("\n", end)
     return text[:start] + (text[line + 1 :] if line >= 0 else "")
@@ -289,8 +299,8 @@ def _end(text: str, node: yaml.Node) -> int:
     return node.start_mark.index + len(text[node.start_mark.index : node.end_mark.index].rstrip())
 
 
-def _flow(value: object) -> str:
-    """Return a value in one line, as people write it."""
+def flow_text(value: object) -> str:
+    """Return a value as YAML in one line, as people write it."""
     told = yaml.safe_dump(
         value, default_flow_style=True, sort_keys=False, width=1_000_000, allow_unicode=True
     )

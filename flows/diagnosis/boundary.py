@@ -22,7 +22,7 @@ from modetune.core.modes import Floats, common_dofs
 from modetune.core.near_names import listed
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.case import Case
-from modetune.flows.diagnosis.findings import MODEL, TEST, Finding
+from modetune.flows.diagnosis.findings import MODEL, TEST, Finding, modes_left_out, setting
 
 #: Share of a measured shape in rigid-body motions that makes it a rigid-body mode.
 RIGID_SHARE = 0.98
@@ -71,6 +71,7 @@ def boundary_findings(case: Case, result: ModalResult) -> Iterator[Finding]:
             f"{100 * moved[differ].mean():.2g} % with rigid-body motions added",
             "",
             "compare the supports in `model.deck` with those of the test",
+            setting("model.deck"),
         )
     elif rigid.any():
         hz = listed(f"{value:.4g}" for value in test.modes.frequencies_hz[rigid].tolist())
@@ -80,6 +81,7 @@ def boundary_findings(case: Case, result: ModalResult) -> Iterator[Finding]:
             f"test mode {_listed(case, rigid)}",
             "leave it out with `test.use`"
             + ("" if free else ", or compare the supports in `model.deck` with those of the test"),
+            modes_left_out(*(case.measured.numbers[row] for row in np.flatnonzero(rigid).tolist())),
         )
 
 

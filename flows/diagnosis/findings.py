@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -14,14 +14,59 @@ ORDER: dict[Level, int] = {"good": 0, "doubtful": 1, "wrong": 2}
 
 
 @dataclass(frozen=True, slots=True)
+class Setting:
+    """A key of the campaign file that resolves a finding.
+
+    place: the keys that lead to it, a parameter by its name. value: what the finding offers; None
+    where only a user knows it. how: the value is set; its items join the key's list, or leave it
+    (`test.use`, which has all test modes by default); or the key is removed.
+    """
+
+    place: tuple[str, ...]
+    value: object = None
+    how: Literal["set", "add", "leave_out", "remove"] = "set"
+
+
+def setting(key: str, value: object = None) -> Setting:
+    """Set a key such as `model.units`."""
+    return Setting(tuple(key.split(".")), value)
+
+
+def modes_left_out(*numbers: int) -> Setting:
+    return Setting(("test", "use"), numbers, "leave_out")
+
+
+def paired_by_hand(pairs: Mapping[int, int]) -> Setting:
+    """Set pairs of a test mode and an elastic mode, in addition to those that are set."""
+    return Setting(("test", "pairs"), dict(pairs), "add")
+
+
+def sensors_dropped(*names: str) -> Setting:
+    return Setting(("test", "sensors", "drop"), names, "add")
+
+
+def of_parameter(name: str, key: str, value: object = None) -> Setting:
+    return Setting(("parameters", name, key), value)
+
+
+def without_parameter(name: str) -> Setting:
+    return Setting(("parameters", name), None, "remove")
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at. where: the mode, sensor or parameter; remedy: may be empty."""
+    """One thing that was looked at.
+
+    where: the mode, sensor or parameter; remedy: may be empty; settings: keys that resolve it, one
+    of them being enough.
+    """
 
     level: Level
     subject: Subject
     what: str
     where: str = ""
     remedy: str = ""
+    settings: tuple[Setting, ...] = ()
 
     @property
     def text(self) -> str:
@@ -39,11 +84,11 @@ class FindingsOf:
     def good(self, what: str, where: str = "", remedy: str = "") -> Finding:
         return Finding("good", self.subject, what, where, remedy)
 
-    def doubtful(self, what: str, where: str = "", remedy: str = "") -> Finding:
-        return Finding("doubtful", self.subject, what, where, remedy)
+    def doubtful(self, what: str, where: str = "", remedy: str = "", *settings: Setting) -> Finding:
+        return Finding("doubtful", self.subject, what, where, remedy, settings)
 
-    def wrong(self, what: str, where: str = "", remedy: str = "") -> Finding:
-        return Finding("wrong", self.subject, what, where, remedy)
+    def wrong(self, what: str, where: str = "", remedy: str = "", *settings: Setting) -> Finding:
+        return Finding("wrong", self.subject, what, where, remedy, settings)
 
 
 TEST, SENSORS, MODEL, MODES, PAIRING, PARAMETERS = map(FindingsOf, get_args(Subject))

@@ -13,7 +13,13 @@ import numpy as np
 from modetune.core.correlation.correlation import auto_mac
 from modetune.core.modes import COMPONENTS, Floats, MeasuredModes, ModeSet
 from modetune.core.near_names import listed
-from modetune.flows.diagnosis.findings import TEST, Finding
+from modetune.flows.diagnosis.findings import (
+    TEST,
+    Finding,
+    modes_left_out,
+    sensors_dropped,
+    setting,
+)
 
 #: Off the diagonal of the auto-MAC: above it the sensors hardly distinguish two modes.
 ALIKE = 0.8
@@ -43,6 +49,7 @@ def data_findings(test: MeasuredModes) -> Iterator[Finding]:
             "the shape is zero at every sensor",
             f"test mode {number}",
             "leave the mode out with `test.use`, or export it again",
+            modes_left_out(number),
         )
         for number, moves in zip(test.numbers, moving.tolist(), strict=True)
         if not moves
@@ -64,6 +71,7 @@ def _frequencies(test: MeasuredModes) -> Iterator[Finding]:
             "the frequency is not above zero",
             f"test mode {listed(rigid)}",
             "leave rigid-body modes out with `test.use`",
+            modes_left_out(*rigid),
         )
         return
     steps = np.diff(frequencies)
@@ -73,6 +81,7 @@ def _frequencies(test: MeasuredModes) -> Iterator[Finding]:
             "the frequencies are not in ascending order",
             f"test mode {listed(late)}",
             "check whether columns were mixed up",
+            modes_left_out(*late),
         )
     for first, second in combinations(range(len(test.numbers)), 2):
         if abs(frequencies[second] / frequencies[first] - 1.0) < COPIED:
@@ -80,6 +89,7 @@ def _frequencies(test: MeasuredModes) -> Iterator[Finding]:
                 f"two modes have the same frequency, {frequencies[first]:.6g} Hz",
                 f"test modes {test.numbers[first]} and {test.numbers[second]}",
                 "leave one out with `test.use` if it was identified twice",
+                modes_left_out(test.numbers[second]),
             )
 
 
@@ -99,6 +109,7 @@ def _damping(test: MeasuredModes) -> Iterator[Finding]:
         f"damping ratio {values} is below zero or above 20 %",
         f"test mode {listed(test.numbers[place] for place in strange)}",
         remedy if percent else "identify the mode again, or leave it out",
+        *([] if percent else [modes_left_out(*(test.numbers[place] for place in strange))]),
     )
 
 
@@ -112,6 +123,7 @@ def _alike(
             f"{n_dof} sensors cannot distinguish {n_modes} modes",
             "",
             "use fewer modes (`test.use`), or more sensors",
+            setting("test.use"),
         )
     places = np.flatnonzero(moving)
     if n_dof < 2 or places.size < 2:
@@ -126,12 +138,14 @@ def _alike(
                 "two modes have the same shape",
                 where,
                 "one is a copy: export the test again, or leave it out with `test.use`",
+                modes_left_out(names[1]),
             )
         elif value > ALIKE:
             yield TEST.doubtful(
                 f"the sensors can hardly distinguish two modes (auto-MAC {value:.3f})",
                 where,
                 "pairs of these modes may be swapped; add sensors, or use one of them",
+                modes_left_out(names[1]),
             )
 
 
@@ -140,11 +154,13 @@ def _sensors(test: MeasuredModes) -> Iterator[Finding]:
     units = sizes / np.where(sizes.max(axis=0) > 0.0, sizes.max(axis=0), 1.0)
     still = np.flatnonzero(units.max(axis=1) < STILL)
     if still.size:
+        names = [sensor_name(test.modes, row) for row in still.tolist()]
         yield TEST.doubtful(
             f"no mode moves {still.size} sensor{'' if still.size == 1 else 's'}",
-            listed(sensor_name(test.modes, row) for row in still.tolist()),
+            listed(names),
             "a dead channel, or a direction in which the structure does not move; leave the "
             "row out if it was not measured",
+            sensors_dropped(*names),
         )
     yield from _copied_rows(test, still.tolist())
     yield from _outliers(test, units)
@@ -156,20 +172,21 @@ def _copied_rows(test: MeasuredModes, still: list[int]) -> Iterator[Finding]:
     if shapes.shape[1] < 3:
         return
     firsts: dict[bytes, int] = {}
-    copies = []
+    copies: list[tuple[str, str]] = []
     for row, values in enumerate(shapes):
         if row in still:
             continue
         pattern = np.round(values / values[np.abs(values).argmax()], 6) + 0.0
         first = firsts.setdefault(pattern.tobytes(), row)
         if first != row and np.allclose(np.abs(values), np.abs(shapes[first]), rtol=COPIED, atol=0):
-            copies.append(f"{sensor_name(test.modes, first)} = {sensor_name(test.modes, row)}")
+            copies.append((sensor_name(test.modes, first), sensor_name(test.modes, row)))
     if not copies:
         return
     yield TEST.doubtful(
         "sensors have identical values in all modes",
-        listed(copies),
+        listed(f"{first} = {other}" for first, other in copies),
         "if one channel was exported twice, leave one row out",
+        sensors_dropped(*(other for _, other in copies)),
     )
 
 
@@ -188,4 +205,5 @@ def _outliers(test: MeasuredModes, units: Floats) -> Iterator[Finding]:
             f"sensor {sensor_name(test.modes, row)} in test mode "
             f"{listed(test.numbers[place] for place in modes)}",
             "look at its calibration and mounting, or leave its row out",
+            sensors_dropped(sensor_name(test.modes, row)),
         )

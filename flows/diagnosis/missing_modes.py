@@ -17,7 +17,14 @@ from modetune.core.correlation.correlation import mac
 from modetune.core.correlation.pairing import LOST_MAC, PairRules, beyond
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
 from modetune.core.near_names import listed
-from modetune.flows.diagnosis.findings import MODES, SENSORS, Finding
+from modetune.flows.diagnosis.findings import (
+    MODES,
+    SENSORS,
+    Finding,
+    modes_left_out,
+    paired_by_hand,
+    setting,
+)
 from modetune.flows.diagnosis.measured_modes import ALIKE
 from modetune.flows.diagnosis.pairing import WEAK_MAC, ModePreview
 
@@ -95,6 +102,8 @@ def lost_findings(
                 f"({100 * seen:.2g} % of the motion of other modes)",
                 f"test mode {mode.mode} ({mode.test_hz:.4g} Hz)",
                 "add sensors that see it, or leave the test mode out: `test.unmatched: drop`",
+                setting("test.unmatched", "drop"),
+                modes_left_out(mode.mode),
             )
 
 
@@ -115,6 +124,8 @@ def absent_findings(
             f"test mode {mode.mode} ({mode.test_hz:.4g} Hz)",
             "check for a part that the model lacks or a mode identified wrongly; "
             "`test.unmatched: drop` leaves it out",
+            setting("test.unmatched", "drop"),
+            modes_left_out(mode.mode),
         )
         for mode in lost
         if mode.test_hz < elastic.frequencies_hz.max()
@@ -150,15 +161,16 @@ def order_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) -> I
     place = int(np.argmin(by_model if best in by_model else by_test))
     if best in by_model:
         numbers = np.delete(np.arange(1, computed.size + 1), place)[:n]
-        pairs = ", ".join(
-            f"{test.numbers[row]}: {number}"
+        by_hand = {
+            test.numbers[row]: number
             for row, number in zip(order[place:].tolist(), numbers[place:].tolist(), strict=True)
-        )
+        }
         yield MODES.doubtful(
             f"{text}if the test lacks the model's elastic mode {place + 1} "
             f"({computed[place]:.4g} Hz)",
             "",
-            f"`test.pairs: {{{pairs}}}` pairs them so",
+            f"`test.pairs: {by_hand}` pairs them so",
+            paired_by_hand(by_hand),
         )
         return
     number = test.numbers[int(order[place])]
@@ -167,6 +179,7 @@ def order_findings(test: MeasuredModes, elastic: ModeSet, rules: PairRules) -> I
         "",
         "check for a part that the model lacks, or a mode of the suspension; leave the mode out "
         "with `test.use`",
+        modes_left_out(number),
     )
 
 

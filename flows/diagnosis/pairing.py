@@ -29,7 +29,14 @@ from modetune.core.correlation.pairing import (
 )
 from modetune.core.errors import ModesError
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, common_dofs
-from modetune.flows.diagnosis.findings import MODES, PAIRING, Finding
+from modetune.flows.diagnosis.findings import (
+    MODES,
+    PAIRING,
+    Finding,
+    modes_left_out,
+    paired_by_hand,
+    setting,
+)
 from modetune.flows.report.tables import Column
 
 #: Below it a pair is doubtful.
@@ -116,13 +123,18 @@ def uncertain_findings(
     test: MeasuredModes, elastic: ModeSet, rules: PairRules
 ) -> Iterator[Finding]:
     """Pairs without shapes that updating would not begin with unless they are confirmed."""
-    found = uncertain_pairs(test, elastic, first_pairs(test, elastic, rules), rules)
+    pairs = first_pairs(test, elastic, rules)
+    found = uncertain_pairs(test, elastic, pairs, rules)
+    rows = zip(pairs.measured.tolist(), pairs.computed.tolist(), strict=True)
+    paired = {test.numbers[row]: column + 1 for row, column in rows}
     yield from (
         PAIRING.doubtful(
             f"paired by the order of frequencies alone: {reason}",
             f"test mode {number}",
             "updating stops at it: name the pairs with `test.pairs`, or leave a mode out with "
             "`test.use`",
+            paired_by_hand({number: paired[number]}),
+            modes_left_out(number),
         )
         for number, reason in found.items()
     )
@@ -197,6 +209,8 @@ def pairing_findings(
                 f"best MAC is {mode.judged_mac:.2f} (elastic mode {mode.elastic_mode})",
                 where,
                 "check the sensor directions, and see `modetune correlate`",
+                setting("test.pairs"),
+                modes_left_out(mode.mode),
             )
         if mode.second_mac >= max(mode.judged_mac - AMBIGUOUS, LOST_MAC):
             yield PAIRING.doubtful(
@@ -204,6 +218,8 @@ def pairing_findings(
                 f"{mode.second_mode} has {mode.second_mac:.2f}",
                 where,
                 "add sensors that distinguish the two, or leave the mode out",
+                paired_by_hand({mode.mode: mode.elastic_mode}),
+                modes_left_out(mode.mode),
             )
         far = beyond(mode.test_hz, mode.computed_hz, rules.reach)
         certain = np.isfinite(mode.mac) or mode.mode in rules.by_hand
@@ -213,7 +229,9 @@ def pairing_findings(
             if far:
                 what += f", {reach_text(mode.computed_hz, rules.reach)}"
             remedy = "the parameters may be unable to correct this much: check the model"
-            yield PAIRING.doubtful(what, where, remedy)
+            yield PAIRING.doubtful(
+                what, where, remedy, setting("test.pairs"), modes_left_out(mode.mode)
+            )
 
 
 def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) -> Finding:
@@ -235,6 +253,7 @@ def _lost(mode: ModePreview, where: str, highest_hz: float, rules: PairRules) ->
         if beyond
         else "check sensor nodes, directions and signs (`modetune correlate` lists the worst), "
         "or leave it out: `test.unmatched: drop`",
+        (setting("test.unmatched", "drop"), modes_left_out(mode.mode)),
     )
 
 
@@ -257,7 +276,7 @@ def factor_findings(
             abs(middle / factor - 1.0) < COMMON_FACTOR
         ):
             remedy = "check the units of the test and the deck (`model.units`)"
-            yield MODES.wrong(f"{what}, as with {reason}", "", remedy)
+            yield MODES.wrong(f"{what}, as with {reason}", "", remedy, setting("model.units"))
             return
     low, high = (0.0, np.inf) if rules is None else rules.reach
     outside = (ratios < low) | (ratios > high)
@@ -268,6 +287,7 @@ def factor_findings(
             "",
             "check moduli, densities and thicknesses of the whole model and its units "
             "(`model.units`), or widen the `bounds`",
+            setting("model.units"),
         )
 
 

@@ -15,12 +15,21 @@ from modetune.core.modes import Floats, Integers, MeasuredModes, ModeSet, common
 from modetune.core.near_names import listed
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.mapping import CHOICE, REASONS, SensorRow
-from modetune.flows.diagnosis.findings import SENSORS, Finding
+from modetune.flows.diagnosis.findings import (
+    SENSORS,
+    Finding,
+    Level,
+    Setting,
+    sensors_dropped,
+    setting,
+)
 from modetune.flows.diagnosis.measured_modes import sensor_name
 from modetune.flows.diagnosis.pairing import ModePreview
 
 #: Readers of test files begin a note of something doubtful with it.
 DOUBT = "doubtful:"
+#: Determine the pose of the test.
+LANDMARKS = setting("test.sensors.match")
 #: Cosine of an angle between directions that are as good as one.
 ONE_DIRECTION = 0.99
 
@@ -34,13 +43,14 @@ def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
         return
     mapping = campaign.case.mapping
     uncertain = [
-        SENSORS.doubtful(what, "", remedy)
+        SENSORS.doubtful(what, "", remedy, LANDMARKS)
         for what, remedy in mapping.uncertain
         if not (said and remedy == CHOICE)
     ]
     if said:
         remedy = CHOICE if mapping.others else ""
-        uncertain.append(Finding("doubtful" if remedy else "good", "sensors", said, "", remedy))
+        level: Level = "doubtful" if remedy else "good"
+        uncertain.append(Finding(level, "sensors", said, "", remedy, (LANDMARKS,) * bool(remedy)))
     yield from (_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes))
     yield from uncertain
     yield from _by_reason(mapping.doubtful)
@@ -76,6 +86,8 @@ def _by_reason(rows: tuple[SensorRow, ...], before: str = "") -> Iterator[Findin
             f"{before}{reason}",
             f"sensor {listed(sensors)}",
             "check the test's geometry and `test.sensors`, or name the node by hand",
+            LANDMARKS,
+            *([] if before else [sensors_dropped(*sensors)]),
         )
         for reason, sensors in shown
     )
@@ -106,6 +118,7 @@ def _alike(campaign: Campaign) -> Iterator[Finding]:
         "they measure the same direction at the same node",
         f"sensors {listed(pairs)}",
         "refine the mesh there, or check the positions of the sensors",
+        sensors_dropped(*dict.fromkeys(sensor_name(modes, b) for _, b in found.tolist())),
     )
 
 
@@ -141,6 +154,7 @@ def suspected_sensors(
                 "",
                 "x, y and z of the test differ from those of the model: check cables, the test's "
                 "geometry and `test.sensors`",
+                setting("test.sensors.rotation"),
             )
         ]
     believed = [mode for mode in modes if mode.judged_mac >= BELIEVED_MAC]
@@ -174,10 +188,12 @@ def _finding(
             f"sensor {names[0]}",
             "if it was mounted upside down or has the wrong sign, set "
             f"`test.sensors.reverse: [{names[0]}]`",
+            Setting(("test", "sensors", "reverse"), (names[0],), "add"),
         )
     return SENSORS.doubtful(
         f"exchanged? With each other's channel {gain}",
         f"sensors {' and '.join(names)}",
         "if cables or channel names were mixed up, set "
         f"`test.sensors.exchange: [[{', '.join(names)}]]`",
+        Setting(("test", "sensors", "exchange"), (names,), "add"),
     )

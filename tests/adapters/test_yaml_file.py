@@ -112,6 +112,22 @@ def test_line_ends_stay_and_what_was_meant_is_read(text: str, ends: str) -> None
     assert found["test"]["modes"] == ["a b.csv", "ä.unv"]
 
 
+@pytest.mark.parametrize(
+    ("text", "after"),
+    [
+        (
+            "p:\n  - {a: 1}   # one\n  # two\n  - b: 2\n    c: 3\nq: 4\n",
+            "p:\n  # two\n  - b: 2\n    c: 3\nq: 4\n",
+        ),
+        ("p: [{a: 1}, {b: 2}]   # both\n", "p: [{b: 2}]   # both\n"),
+        ("p: [{a: 1}]\n", "p: []\n"),
+        ("p:\n- a: 1\n  d: 5\nq: 4\n", "p: []\nq: 4\n"),
+    ],
+)
+def test_an_item_of_a_list_is_removed_with_its_line(text: str, after: str) -> None:
+    assert edited(source_of(text), {("p", 0): None}) == after
+
+
 @pytest.mark.parametrize("path", CAMPAIGNS, ids=lambda path: path.name)
 def test_what_is_set_and_removed_again_leaves_every_campaign_as_it_was(path: Path) -> None:
     source = read_yaml(path, "a campaign")

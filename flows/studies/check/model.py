@@ -19,10 +19,10 @@ from modetune.core.mesh import Mesh, edge_differences
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
-from modetune.flows.campaign.case import RIGID_MODES
+from modetune.flows.campaign.case import RIGID_MODES, Case
 from modetune.flows.campaign.schema import ModelCheck
-from modetune.flows.campaign.units import KILOGRAMS, METRES, Units, unit_doubt
-from modetune.flows.diagnosis.findings import MODEL, Finding
+from modetune.flows.campaign.units import KILOGRAMS, METRES, Units, guessed_units, unit_doubt
+from modetune.flows.diagnosis.findings import MODEL, Finding, Level, Setting, setting
 from modetune.flows.updating.mode_source import CaseState
 from modetune.flows.updating.reduced_model import ByMatrices
 
@@ -114,10 +114,10 @@ def size_findings(campaign: Campaign) -> Iterator[Finding]:
     case, size = campaign.case, model_size(campaign)
     doubt = unit_doubt(case.units, case.solver)
     if doubt:
-        text = MODEL.doubtful(doubt, "model.units", UNITS)
+        text = MODEL.doubtful(doubt, "model.units", UNITS, _other_units(case))
         yield accepted(campaign, text, "units")
     if np.isfinite(size):
-        yield accepted(campaign, _size(case.units, size), "size")
+        yield accepted(campaign, _size(case, size), "size")
     yield from _masses(case.solver)
 
 
@@ -131,20 +131,31 @@ def _masses(solver: Solver) -> Iterator[Finding]:
         return
     lumps = solver.program.capabilities.masses == "lumped"
     remedy = "run it on a solver that has them, or refine the mesh" if lumps else ""
-    yield Finding("doubtful" if lumps else "good", "model", text, "model.solver", remedy)
+    level: Level = "doubtful" if lumps else "good"
+    yield Finding(level, "model", text, "model.solver", remedy, (setting("model.solver"),) * lumps)
 
 
 def accepted(campaign: Campaign, found: Finding, check: ModelCheck) -> Finding:
     """A finding, no longer doubtful where the campaign accepts that under this name."""
-    if found.level != "doubtful" or check not in campaign.case.accepted:
+    if found.level != "doubtful":
         return found
-    return replace(found, level="good", what=f"{found.what} (accepted)", remedy="")
+    if check not in campaign.case.accepted:
+        accept = Setting(("model", "checks"), (check,), "add")
+        return replace(found, settings=(*found.settings, accept))
+    return replace(found, level="good", what=f"{found.what} (accepted)", remedy="", settings=())
 
 
-def _size(units: Units, size: float) -> Finding:
+def _other_units(case: Case) -> Setting:
+    """Return the setting of other units, those of the materials where they differ."""
+    units, _ = guessed_units(case.solver)
+    return setting("model.units", units if units != case.units else None)
+
+
+def _size(case: Case, size: float) -> Finding:
     if SIZES_M[0] <= size <= SIZES_M[1]:
         return MODEL.good(f"{size:.4g} m across", "model.units")
-    return MODEL.doubtful(f"in units {units} the model is {size:.3g} m across", "model.units", SIZE)
+    text = f"in units {case.units} the model is {size:.3g} m across"
+    return MODEL.doubtful(text, "model.units", SIZE, _other_units(case))
 
 
 def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
@@ -166,6 +177,7 @@ def mass_findings(campaign: Campaign, facts: ModelFacts) -> Iterator[Finding]:
             + (f", in a model {facts.size_m:.3g} m across" if heavy else ""),
             "model.units",
             MASS,
+            _other_units(campaign.case),
         )
     yield accepted(campaign, found, "mass")
     yield from _body_findings(facts, campaign.case.units)
@@ -244,7 +256,8 @@ def rigid_findings(
             text = f"half held: {text}, a held one none"
             remedy = "look at the supports; a mechanism shows so too"
         meant = f"; if it is meant, say `rigid_modes: {result.n_rigid}`"
-        yield MODEL.doubtful(text, "model.rigid_modes", remedy + meant)
+        by_hand_too = setting("model.rigid_modes", result.n_rigid)
+        yield MODEL.doubtful(text, "model.rigid_modes", remedy + meant, by_hand_too)
         return
     yield _near_zero(result, elastic)
 
@@ -339,7 +352,10 @@ def memory_findings(state: CaseState) -> list[Finding]:
         return []
     if not is_available():
         unknown = "the memory of factors is not limited: MKL's PARDISO is not installed"
-        return [MODEL.doubtful(unknown, LIMIT)] if state.campaign.run.memory_gb else []
+        remedy = "install MKL's PARDISO (`pypardiso`), or remove the limit"
+        without = Setting(("run", "memory_gb"), None, "remove")
+        found = [MODEL.doubtful(unknown, LIMIT, remedy, without)]
+        return found if state.campaign.run.memory_gb else []
     if isinstance(state.finder, ByMatrices):
         state.finder.release()
     base = state.finder.assembled(state.campaign.start).model.base
@@ -351,7 +367,8 @@ def memory_findings(state: CaseState) -> list[Finding]:
     try:
         on_disk, text = factor_forecast(pattern, vectors[0], vectors[1], room)
     except SolverExhausted as error:
-        return [MODEL.wrong(str(error), LIMIT)]
+        return [MODEL.wrong(str(error), LIMIT, "", setting(LIMIT))]
     if not on_disk:
         return [MODEL.good(text, LIMIT)]
-    return [MODEL.doubtful(text, LIMIT, "raise it if the machine has more memory")]
+    remedy = "raise it if the machine has more memory"
+    return [MODEL.doubtful(text, LIMIT, remedy, setting(LIMIT))]

@@ -13,7 +13,13 @@ from modetune.core.updating.job_results import ModalResult
 from modetune.core.updating.trust import NOTHING, UNSEEN_SHARE
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.solvers import untested_capabilities
-from modetune.flows.diagnosis.findings import PARAMETERS, Finding
+from modetune.flows.diagnosis.findings import (
+    PARAMETERS,
+    Finding,
+    of_parameter,
+    setting,
+    without_parameter,
+)
 from modetune.flows.updating.sensitivities import BALANCE_TOLERANCE, not_linear
 
 #: A parameter with less of the strain energy in every used mode cannot be found from them.
@@ -59,6 +65,7 @@ def bound_findings(campaign: Campaign) -> Iterator[Finding]:
             "can match any test",
             "update.step",
             "compare more modes or shapes, use pulled_to_initial, or fewer parameters",
+            setting("update.step", "pulled_to_initial"),
         )
 
 
@@ -69,25 +76,49 @@ def _bounds(campaign: Campaign, item: Parameter) -> Iterator[Finding]:
         reach = item.number(campaign.case.solver.deck.deck_value(item), item.upper)
         if reach >= POISSON_LIMIT:
             text = f"{bounds} let Poisson's ratio reach {reach:.3g}"
-            yield PARAMETERS.wrong(text, where, "keep it below 0.5")
+            lower = item.shown(item.lower)
+            upper = item.shown(item.upper) * (POISSON_LIMIT - 0.01) / reach
+            fits = (_short(lower), _short(upper)) if item.proportional and lower < upper else None
+            remedy = "keep it below 0.5"
+            yield PARAMETERS.wrong(text, where, remedy, of_parameter(item.name, "bounds", fits))
     if item.quantity in DAMPING and not campaign.case.needs("losses"):
         text = item.quantity.replace("_", " ")
         text += " does not change frequencies and shapes of undamped modes"
         remedy = "leave it out; no response of this campaign depends on it"
-        yield PARAMETERS.doubtful(text, where, remedy)
+        yield PARAMETERS.doubtful(text, where, remedy, without_parameter(item.name))
     relative = item.values == "relative"
     if relative and not item.lower <= 1.0 <= item.upper:
         text = f"{bounds} exclude the deck's own value"
-        yield PARAMETERS.doubtful(text, where, "bounds are relative to the deck's value, 1")
+        around = (min(item.shown(item.lower), 1.0), max(item.shown(item.upper), 1.0))
+        remedy = "bounds are relative to the deck's value, 1"
+        yield PARAMETERS.doubtful(text, where, remedy, of_parameter(item.name, "bounds", around))
     if relative and (item.lower < 1.0 / WIDEST or item.upper > WIDEST):
         remedy = "give what is physically possible, such as 0.5 to 2"
-        yield PARAMETERS.doubtful(f"{bounds} are too wide to limit anything", where, remedy)
+        usual = of_parameter(item.name, "bounds", (0.5, 2.0))
+        yield PARAMETERS.doubtful(f"{bounds} are too wide to limit anything", where, remedy, usual)
     if item.upper - item.lower < NARROWEST:
         remedy = "widen them, or fix the parameter"
-        yield PARAMETERS.doubtful(f"{bounds} are too narrow", where, remedy)
+        wider = of_parameter(item.name, "bounds", _widened(item))
+        drop = without_parameter(item.name)
+        yield PARAMETERS.doubtful(f"{bounds} are too narrow", where, remedy, wider, drop)
     if min(item.initial - item.lower, item.upper - item.initial) < 1e-6:
         text = f"it starts on a bound ({item.shown(item.initial):g})"
-        yield PARAMETERS.doubtful(text, where, "start inside the bounds")
+        middle = _short(item.shown(0.5 * (item.lower + item.upper)))
+        wider = of_parameter(item.name, "bounds", _widened(item))
+        inside = of_parameter(item.name, "initial", middle)
+        yield PARAMETERS.doubtful(text, where, "start inside the bounds", wider, inside)
+
+
+def _widened(item: Parameter) -> tuple[float, float]:
+    """Bounds with the start value inside, at least a fifth of it away, in the campaign's terms."""
+    away = 0.2 * max(abs(item.initial), 0.5 * (item.upper - item.lower))
+    lower, upper = min(item.lower, item.initial - away), max(item.upper, item.initial + away)
+    return _short(item.shown(lower)), _short(item.shown(upper))
+
+
+def _short(value: float) -> float:
+    """Return a value with four digits, which is enough for a bound."""
+    return float(f"{value:.4g}")
 
 
 def from_nothing(campaign: Campaign) -> tuple[Parameter, ...]:
@@ -130,6 +161,7 @@ def loose_findings(
         f"{joined.n_rigid} are, so the order of elastic modes shifts as it moves",
         f"parameter {names}",
         "start it inside its bounds, about where it is expected",
+        *(of_parameter(p.name, "initial", _short(p.shown(values[p.name]))) for p in nothing),
     )
 
 
@@ -192,7 +224,8 @@ def _dead(campaign: Campaign, item: EnergyShare, modes: list[int]) -> Iterator[F
         yield PARAMETERS.good(f"{text}, so only {others} may determine it", where)
         return
     text += ", so updating leaves it at its start value" * (moves < NOTHING)
-    yield PARAMETERS.doubtful(text, where, "leave it out, or use modes that it moves")
+    remedy = "leave it out, or use modes that it moves"
+    yield PARAMETERS.doubtful(text, where, remedy, without_parameter(own.name))
 
 
 def _balance(campaign: Campaign, result: ModalResult, has_shares: bool) -> Iterator[Finding]:
@@ -206,4 +239,5 @@ def _balance(campaign: Campaign, result: ModalResult, has_shares: bool) -> Itera
         "eigenvalues say",
         "sensitivity.method",
         "use `auto`: the solver leaves some energy out (reduced elements)",
+        setting("sensitivity.method", "auto"),
     )

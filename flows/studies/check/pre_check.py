@@ -23,7 +23,7 @@ from modetune.core.updating.job_results import ModalResult
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.diagnosis.causes import model_causes
-from modetune.flows.diagnosis.findings import MODEL, PAIRING, TEST, Finding, Level, worst
+from modetune.flows.diagnosis.findings import MODEL, PAIRING, TEST, Finding, Level, setting, worst
 from modetune.flows.diagnosis.measured_modes import data_findings
 from modetune.flows.diagnosis.pairing import (
     ModePreview,
@@ -34,6 +34,7 @@ from modetune.flows.diagnosis.pairing import (
 )
 from modetune.flows.diagnosis.sensors import sensor_findings
 from modetune.flows.jobs.campaign_engine import job_engine
+from modetune.flows.jobs.engine import JobEngine
 from modetune.flows.jobs.execution import solve_jobs
 from modetune.flows.studies.check.model import (
     ModelFacts,
@@ -60,7 +61,7 @@ from modetune.flows.updating.poses import by_shapes, from_store, may_choose, mod
 
 NO_RUN = RunCounts()
 WITHOUT_TEST = TEST.doubtful("there is none, so only the model is checked", "test",
-    "name the test's files under `test`, or after the deck")  # fmt: skip
+    "name the test's files under `test`, or after the deck", setting("test.modes"))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +92,12 @@ class PreCheckReport:
         return 2 if self.level == "wrong" else 0
 
 
-def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
+def check_campaign(
+    campaign: Campaign, run: bool = True, engine: JobEngine | None = None
+) -> PreCheckReport:
     """Judge a campaign that was read; run: with the modes at its start, from the store if there.
 
+    engine: that solves the model; NotStored is raised where it may not run what the store lacks.
     Where parameters start from zero, a second point shows whether they leave parts loose.
     A solver that fails is a finding. Raises StoreError.
     """
@@ -103,7 +107,7 @@ def check_campaign(campaign: Campaign, run: bool = True) -> PreCheckReport:
     analysis, nothing = campaign_analysis(campaign), from_nothing(campaign)
     try:
         campaign.solver_version()
-        engine = job_engine(campaign)
+        engine = engine or job_engine(campaign)
         if may_choose(campaign.case):
             (outcome,) = solve_jobs(engine, [modal_job(campaign)])
             runs = RunCounts(modal=int(not outcome.reused), reused=int(outcome.reused))

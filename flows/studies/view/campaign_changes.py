@@ -15,6 +15,11 @@ from modetune.flows.campaign.campaign import campaign_form
 from modetune.flows.campaign.configurations import BASE, configuration_files
 from modetune.flows.campaign.schema import CampaignFile
 
+#: A node, or a point in the axes and unit of length of the model.
+Mark = int | tuple[float, float, float]
+#: Lowest and highest frequency of a diagram, Hz; None for that of the functions.
+Band = tuple[float, float] | None
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -28,7 +33,7 @@ class Part:
     place: Place = ()
     name: str = ""
 
-    def at(self, *place: str) -> object:
+    def at(self, *place: str | int) -> object:
         """A value of its `model` or `test`."""
         return self.source.at((*self.place, *place))
 

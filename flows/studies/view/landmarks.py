@@ -19,14 +19,12 @@ from modetune.flows.campaign.solvers import bind_solver
 from modetune.flows.campaign.test import read_test
 from modetune.flows.campaign.units import METRES
 from modetune.flows.report.scene import packed
-from modetune.flows.studies.view.campaign_changes import Change, Part, part_of
+from modetune.flows.studies.view.campaign_changes import Change, Mark, Part, part_of
 
 #: Other keys of `test.sensors` that set the pose of the test.
 OTHER_MEANS = ("rotation", "translation", "align")
 #: Landmarks that determine a pose; with `align: fit` one can be enough, to choose among poses.
 ENOUGH = 3
-#: A node, or a point in the axes and unit of length of the model.
-Mark = int | tuple[float, float, float]
 
 
 def sensors_json(part: Part) -> dict[str, Json]:

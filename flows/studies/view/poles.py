@@ -20,9 +20,7 @@ from modetune.flows.studies.identify.identification import (
     identify,
     write_modes,
 )
-from modetune.flows.studies.view.campaign_changes import Change, Part
-
-Band = tuple[float, float] | None
+from modetune.flows.studies.view.campaign_changes import Band, Change, Part
 
 
 def poles_json(part: Part, band: Band, order: int) -> dict[str, Json]:

@@ -5,6 +5,9 @@ page once; after that the browser has a cookie that no script can read and no re
 site carries. The server refuses requests under another host name (DNS rebinding) and changes
 requested by another page. There is no CORS, and the content security policy allows only the page's
 own scripts.
+
+What a section of the page needs is imported when it is opened: all of it takes some seconds, in
+which there would be no page.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -23,19 +26,18 @@ from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Red
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
-from modetune.adapters.yaml_file import read_yaml
+from modetune.adapters.yaml_file import Place, read_yaml
 from modetune.core.errors import CampaignError, ModetuneError
 from modetune.flows.campaign.campaign import load_campaign, store_of
-from modetune.flows.report.page import page
-from modetune.flows.studies.view.campaign_changes import Change, Part, configuration_names, part_of
-from modetune.flows.studies.view.landmarks import (
+from modetune.flows.studies.view.campaign_changes import (
+    Band,
+    Change,
     Mark,
-    landmarks_change,
-    sensors_json,
+    Part,
+    configuration_names,
+    part_of,
 )
 from modetune.flows.studies.view.live_record import LiveRecord, live_json
-from modetune.flows.studies.view.pairs import pairs_change, pairs_json
-from modetune.flows.studies.view.poles import Band, poles_change, poles_json
 
 LOOPBACK = "127.0.0.1"
 #: Lifetime of the cookie, in seconds; it is worthless once the server has ended.
@@ -65,12 +67,16 @@ class PageRequest(BaseModel):
     """One change that the page requests.
 
     base: hash of the file that the page showed; the server writes the change if it is given.
+    place: keys that lead to a value that a doubt offers, text: its new value as YAML, None to
+    remove it.
     pairs: test mode to elastic mode. landmarks: test point to node or point of the model. pick:
     frequencies in Hz, with the band and order of their diagram.
     """
 
     model_config = ConfigDict(extra="forbid")
 
+    place: tuple[str | int, ...] | None = None
+    text: Annotated[str, Field(max_length=2000)] | None = None
     pairs: dict[int, Annotated[int, Field(ge=1)]] | None = None
     landmarks: dict[int, Mark] | None = None
     configuration: str = ""
@@ -79,8 +85,15 @@ class PageRequest(BaseModel):
     order: Annotated[int, Field(ge=2, le=200)] = 60
     base: str = ""
 
-    def change(self, part: Part) -> Change:
-        """Return the change of a campaign file. Raises CampaignError."""
+    def change(self, part: Part, offered: Collection[Place]) -> Change:
+        """Return the change of a campaign file; offered: places. Raises CampaignError."""
+        from modetune.flows.studies.view.doubts import doubt_change
+        from modetune.flows.studies.view.landmarks import landmarks_change
+        from modetune.flows.studies.view.pairs import pairs_change
+        from modetune.flows.studies.view.poles import poles_change
+
+        if self.place is not None:
+            return doubt_change(part, self.place, self.text, offered)
         if self.pairs is not None:
             return pairs_change(part, self.pairs)
         if self.landmarks is not None:
@@ -145,6 +158,7 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
     """
     first = read_yaml(campaign, "a campaign")
     record, store = LiveRecord(runs / str(first.at(("name",)))), store_of(first)
+    offered: set[Place] = set()  # by the doubts that the page has shown
     app = FastAPI(openapi_url=None)
     app.middleware("http")(guard)
 
@@ -171,28 +185,45 @@ def view_app(campaign: Path, runs: Path, guard: Guard, ending: threading.Event) 
 
     @app.get("/report")
     def report() -> Response:
+        from modetune.flows.report.page import page
+
         _, known = record.newest()
         text = "<p>No iteration yet.</p>" if known is None else page(known)
         return HTMLResponse(text, headers={"Content-Security-Policy": "frame-ancestors 'self'"})
 
+    @app.get("/doubts")
+    def doubts(solve: bool = False, configuration: str = "") -> Response:
+        from modetune.flows.studies.view.doubts import find_doubts
+
+        own = part(configuration)
+        found = find_doubts(load_campaign(campaign), own, record.newest()[1], solve, ending)
+        offered.update(found.places)
+        return JSONResponse(found.to_json())
+
     @app.get("/pairs")
     def pairs(solve: bool = False, configuration: str = "") -> Response:
+        from modetune.flows.studies.view.pairs import pairs_json
+
         return JSONResponse(pairs_json(load_campaign(campaign), solve, ending, configuration))
 
     @app.get("/poles")
     def poles(
         low: Edge = None, high: Edge = None, order: Order = 60, configuration: str = ""
     ) -> Response:
+        from modetune.flows.studies.view.poles import poles_json
+
         band: Band = None if low is None or high is None else (low, high)
         return JSONResponse(poles_json(part(configuration), band, order))
 
     @app.get("/sensors")
     def sensors(configuration: str = "") -> Response:
+        from modetune.flows.studies.view.landmarks import sensors_json
+
         return JSONResponse(sensors_json(part(configuration)))
 
     @app.post("/change")
     def change(request: PageRequest) -> Response:
-        made = request.change(part(request.configuration))
+        made = request.change(part(request.configuration), offered)
         if request.base:
             made.write(request.base)
         return JSONResponse({**made.to_json(), "written": bool(request.base)})

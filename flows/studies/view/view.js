@@ -89,6 +89,44 @@
     open(document.querySelector("[aria-selected=true]").dataset.tab);
   }
 
+  // Doubts.
+  const TABS = { "test.pairs": "pairs", "test.sensors.match": "sensors" };   // where values are picked by hand
+  const sentence = (text) => text.split("`").map((part, at) => (at % 2 ? make("code", part) : part));
+  function control({ key, place, text, choices, removes }) {
+    const made = make("span", "", { className: "setting" }), open_ = TABS[key];
+    const button = (name, onclick) => make("button", name, { type: "button", onclick });
+    if (removes) {
+      made.append(make("code", key), button("Remove", () => propose(() => ({ place, text: null }))));
+      return made;
+    }
+    if (open_ && !text) {
+      made.append(make("code", key), button("Choose in " + open_, () => open(open_)));
+      return made;
+    }
+    const field = choices.length ? make("select") : make("input", "", { value: text, placeholder: "value", size: Math.max(text.length, 8) });
+    if (choices.length && !text) field.append(new Option("choose", ""));
+    choices.forEach((word) => field.append(new Option(word, word, false, word === text)));
+    const label = make("label");
+    label.append(make("code", key + ":"), field);
+    made.append(label, button("Review", () => propose(() => ({ place, text: field.value }))));
+    return made;
+  }
+  const showDoubts = (solve) => guarded(async () => {
+    by("doubt-list").replaceChildren();
+    by("doubt-count").textContent = "";
+    by("unsolved").hidden = true;
+    const found = await ask("/doubts?" + new URLSearchParams({ solve, configuration: configuration() }));
+    by("unsolved").hidden = !found.unsolved;
+    by("doubt-list").replaceChildren(...found.doubts.map(({ level, subject, text, controls }) => {
+      const item = make("li", "", { className: level }), line = make("p"), settings = make("p", "", { className: "settings" });
+      line.append(make("strong", `${level}, ${subject}: `, { className: level === "wrong" ? "outside" : "fair" }), ...sentence(text));
+      settings.append(...(controls.length ? controls.map(control) : ["No key of the campaign file resolves this: change the model or the test."]));
+      item.append(line, settings);
+      return item;
+    }));
+    by("doubt-count").textContent = `${found.doubts.length || "No"} doubt${found.doubts.length === 1 ? "" : "s"}; ${found.good} other finding${found.good === 1 ? " is" : "s are"} good.`;
+  })();
+
   // Pairs.
   let pairs = null;
   const showPairs = (solve) => guarded(async () => {
@@ -111,8 +149,7 @@
         button.append(make("small", (off < 0 ? "−" : "+") + Math.abs(off).toFixed(digits) + " %"));
         button.setAttribute("aria-label", `test mode ${number} with elastic mode ${at + 1}`);
         if (mac !== null) {
-          button.style.background = `color-mix(in srgb, #0072b2 ${Math.round(100 * mac)}%, var(--paper))`;
-          if (mac > 0.5) button.style.color = "#fff";
+          button.style.background = `color-mix(in srgb, #0072b2 ${Math.round(70 * mac)}%, var(--paper))`;   // the ink stays legible
         }
         button.addEventListener("click", () => {
           const undone = pairs.get(number) === at + 1;
@@ -247,7 +284,7 @@
     paintPoints();
   });
 
-  const tabs = { live: () => {}, shapes: reload, pairs: () => showPairs(false), poles: showPoles, sensors: showSensors };
+  const tabs = { live: () => {}, doubts: () => showDoubts(false), shapes: reload, pairs: () => showPairs(false), poles: showPoles, sensors: showSensors };
   function open(name) {
     by("problem").hidden = true;
     for (const button of document.querySelectorAll("[data-tab]")) {
@@ -260,6 +297,7 @@
   document.querySelectorAll("[data-tab]").forEach((button) => button.addEventListener("click", () => open(button.dataset.tab)));
   by("reload").addEventListener("click", reload);
   by("report").addEventListener("load", () => by("shapes").classList.remove("waiting"));
+  by("check").addEventListener("click", () => showDoubts(true));
   by("solve").addEventListener("click", () => showPairs(true));
   by("identify").addEventListener("click", showPoles);
   by("pairs-change").addEventListener("click", () => propose(() => ({ pairs: Object.fromEntries(pairs || []) })));

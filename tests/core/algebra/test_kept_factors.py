@@ -142,7 +142,9 @@ def test_moduli_may_move_by_half(
     found = solve(solver, later, first.shapes, kept=8)
     agrees(found, *later)
     assert found.solutions <= 9 * (MODES + GUARD)
-    if factors == (1.1, 0.9):  # by more, rounding or modes that change places may stand in the way
+    # By more, rounding or modes that change places may stand in the way; on mounts, whose stiffness
+    # is 1e-4 of the beam's, the rounding of some processors does so before.
+    if factors == (1.1, 0.9) and structure is not mounted_beam:
         assert found.way == "kept factors"
     assert len(factorised) == before + (found.way != "kept factors")
 

@@ -303,3 +303,28 @@ def visible(page: Any, which: str, number: int) -> tuple[float, float]:
         for _ in range(4):
             page.keyboard.press("ArrowRight")
     raise AssertionError(f"{which} {number} is never in front")
+
+
+def test_a_doubt_is_resolved_by_its_control_and_comments_stay(page: Any, viewed: Viewed) -> None:
+    campaign = viewed.hook.campaign
+    before = viewed.text().replace("bounds: [0.5, 1.5]", "bounds: [0.01, 30.0]", 1)
+    campaign.write_text(before)
+    page.click("[data-tab=doubts]")
+    doubt = page.locator("#doubt-list li", has_text="too wide to limit anything")
+    doubt.wait_for()
+    assert page.locator("#doubt-list li").count() >= 1
+    field = doubt.locator("input")
+    assert field.input_value() == "[0.5, 2.0]"
+    field.fill("[0.6, 1.4]")
+    doubt.locator("button").click()
+    page.wait_for_selector("#change[open]")
+    shown = page.inner_text("#diff")
+    assert "material: FOOT, bounds: [0.6, 1.4]}" in shown
+    assert viewed.text() == before  # not before it is confirmed
+    page.click("#write")
+    page.wait_for_selector("#change:not([open])", state="attached")
+    assert viewed.text() == before.replace("[0.01, 30.0]", "[0.6, 1.4]")
+    doubt.wait_for(state="detached")
+    page.click("#check")
+    page.wait_for_selector("#doubt-count:has-text('other finding')")
+    page.wait_for_selector("#unsolved", state="hidden")
