@@ -222,10 +222,9 @@ def test_two_configurations_are_updated_at_once(folder: Path, kind: str) -> None
     agrees(told(folder, "update", f"{kind}_two.yaml", "--set", "update.starts=1"), kind)
 
 
-@pytest.mark.parametrize("kind", ["frf", "static"])
-def test_a_limit_of_memory_holds_for_the_factors_of_the_kind(folder: Path, kind: str) -> None:
+def test_a_limit_of_memory_holds_for_the_factors_of_static_loads(folder: Path) -> None:
     limit = "run.memory_gb=0.001"  # a megabyte, which this process alone exceeds
-    ended = run_command(folder, "update", f"{kind}.yaml", "--set", limit, "--no-prefect")
+    ended = run_command(folder, "update", "static.yaml", "--set", limit, "--no-prefect")
     assert ended.returncode > 0
     assert "raise `run.memory_gb`" in ended.stderr
 
