@@ -273,7 +273,9 @@ def test_updates_of_a_fleet_are_flows_inside_its_own(
         assert new[name]["state_name"] == "Converged, trusted"
         assert new[name]["parent_task_run_id"] is not None
         assert new[name]["tags"] == ["modetune"]  # so that it is marked as crashed when it dies
-        assert "iteration 0 / modal" in {task["name"] for task in served.tasks(new[name]["id"])}
+        # Their store is one: what one of them has solved is no task of the other.
+        tasks = [task["name"] for task in served.tasks(new[name]["id"])]
+        assert any(task.startswith("iteration ") for task in tasks)
 
 
 def test_ctrl_c_in_a_study_ends_the_users_flow_too(served: Served) -> None:
