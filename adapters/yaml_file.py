@@ -23,7 +23,7 @@ from modetune.core.errors import CampaignError
 Place = tuple[str | int, ...]
 #: Repetitions (`*name`) of repetitions can make a short file endless.
 MOST_VALUES = 200_000
-#: Larger than any campaign or spring-mass system, bytes: PyYAML takes five seconds for it.
+#: Bytes for which PyYAML takes five seconds: some ten thousand springs. Larger systems are matrices.
 MOST_BYTES = 600_000
 
 

@@ -9,7 +9,7 @@ so a gap without one is not followed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import scipy
@@ -20,14 +20,14 @@ from modetune.adapters.calculix.structure import CalculixStructure
 from modetune.core.element_geometry import FACES, ElementShape, face_nodes, nearest_on_faces
 from modetune.core.errors import ModelError
 from modetune.core.mesh import CellKind
-from modetune.core.modes import Floats, Integers
+from modetune.core.modes import Floats
 
 #: A node this near to the surface lies on it, as a share of the face's size.
 ON_SURFACE = 1e-3
 #: A distance this far from the tolerance, as a share of it, is surely within or beyond.
 SURE = 0.05
-#: Faces that are asked for the nearest point.
-ASKED = 6
+#: More faces are asked for the nearest point, against rounding.
+NEAR = 1e-9
 #: Weights below this are rounding.
 NOTHING = 1e-12
 #: Solids by their number of nodes, and their corners.
@@ -133,31 +133,31 @@ def _face(structure: CalculixStructure, number: int, label: str) -> Face:
 def _nearest(
     points: Floats, faces: list[Face], places: Places
 ) -> tuple[list[Floats], Floats, list[int]]:
-    """Return the shape functions, the distance and the face of the nearest point of each point."""
-    middles = np.array([np.mean([places[n] for n in nodes], axis=0) for nodes, _ in faces])
-    asked = min(ASKED, len(faces))
-    near = np.atleast_2d(scipy.spatial.KDTree(middles).query(points, k=asked)[1])
-    near = near.reshape(len(points), asked).astype(np.int64)
-    best = np.full(len(points), np.inf)
-    weights: list[Floats] = [np.zeros(0)] * len(points)
-    owners = [0] * len(points)
-    for shape, rows, owner in _by_shape(near, faces):
-        corners = np.array([[places[n] for n in faces[place][0]] for place in owner])
-        values, distances = nearest_on_faces(shape, corners, points[rows])
-        for row, place, own, distance in zip(rows, owner, values, distances, strict=True):
-            if distance < best[row]:
-                best[row], weights[row], owners[row] = distance, own, place
-    return weights, best, owners
+    """Return the shape functions, the distance and the face of the nearest point of each point.
 
-
-def _by_shape(
-    near: Integers, faces: list[Face]
-) -> Iterator[tuple[ElementShape, list[int], list[int]]]:
-    """Yield pairs of a point and a face for each shape of faces: rows of points, and of faces."""
+    The nearest face has its middle no farther than the nearest middle and the largest face's
+    radius.
+    """
+    corners = [np.array([places[node] for node in nodes]) for nodes, _ in faces]
+    middles = np.array([own.mean(axis=0) for own in corners])
+    radius = max(
+        float(np.linalg.norm(own - middle, axis=1).max())
+        for own, middle in zip(corners, middles, strict=True)
+    )
+    tree = scipy.spatial.KDTree(middles)
+    near = tree.query_ball_point(points, (1.0 + NEAR) * (tree.query(points)[0] + radius))
     pairs: dict[int, list[tuple[int, int]]] = {}
-    for row, own in enumerate(near.tolist()):
+    for row, own in enumerate(near):
         for place in own:
-            pairs.setdefault(len(faces[place][0]), []).append((row, place))
+            pairs.setdefault(len(corners[place]), []).append((row, place))
+    best = np.full(len(points), np.inf)
+    weights, owners = [np.zeros(0)] * len(points), [0] * len(points)
     for some in pairs.values():
-        rows, owners = map(list, zip(*some, strict=True))
-        yield faces[owners[0]][1], rows, owners
+        rows, asked = map(list, zip(*some, strict=True))
+        shape = faces[asked[0]][1]
+        there = np.array([corners[place] for place in asked])
+        values, distances = nearest_on_faces(shape, there, points[rows])
+        for row, place, value, distance in zip(rows, asked, values, distances, strict=True):
+            if distance < best[row]:
+                best[row], weights[row], owners[row] = distance, value, place
+    return weights, best, owners

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import sparse
 
 from modetune.adapters.solver import Deck
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.correlation.pairing import LostMode
 from modetune.core.errors import ModelError, ModesError
@@ -163,14 +163,7 @@ def case_model(
     parameters = ParameterSet((*own.parameters, *quantities), own.dependents)
     source = MatrixSource(state.engine, parameters, campaign.sensitivity.step)
     theta = np.concatenate([part.theta, np.ones(len(quantities))])
-    columns = range(theta.size)
-    works = source.works(theta, columns)
-    own_matrices = evaluator.carry_out("matrices", works[:1], state)  # the model's
-    _check_size(own_matrices[0][0].result(MatrixResult) if own_matrices else None)
-    evaluator.carry_out("matrices", works[1:], state)
-    affine = source.matrices(theta, columns)
-    _check_size(affine.base)
-    size = affine.base.nodes.size
+    affine = _matrices(evaluator, state, source, theta)
     written, case = source.written(theta), all_data(state.case)
     nodes, turning = seen_nodes(case.compared)
     rows = named_freedoms(
@@ -179,25 +172,10 @@ def case_model(
     observer = observer_of(state.campaign, affine.base, *rows)
     here = affine.at(written)
     solver = ModeSolver(count=False)
-    massive = int(np.count_nonzero(here.upper_mass.diagonal()))
-    n_modes = min(part.modal.modes.n_modes + MORE_MODES, massive)
-    solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
-    shift = solved.shift
-    if size <= SMALL or not solver.inverts_exactly:
-        shift = min(shift, first_shift(state.campaign))
-        solver.factorise(here.upper_stiffness, here.upper_mass, shift)
-    if size <= SMALL:
-        model, basis = unreduced(affine, shift, observer), np.eye(size)
-    else:
-        _, n_rigid = solved_energies(state.campaign, here, solved)
-        model, basis = reduce(
-            affine, written, solved.eigenvalues, solved.shapes, solver.inverse,
-            part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
-        )  # fmt: skip
-    modes = solved.eigenvalues, solved.shapes
+    model, basis, solved, shift = _reduced(state, part, affine, written, here, observer, solver)
     freed = released_model(
-        campaign, evaluator, state, case, parameters, theta, here, modes, places, rows,
-        solver.inverse, shift,
+        campaign, evaluator, state, case, parameters, theta, here,
+        (solved.eigenvalues, solved.shapes), places, rows, solver.inverse, shift,
     )  # fmt: skip
     released, groups = freed or (None, ())
     seen = deck.observation(affine.base, places.load_nodes, places.load_components)
@@ -207,18 +185,54 @@ def case_model(
         affine, model, basis, observer, solver.inverse, loads, released, (written, shift),
         np.arange(seen.matrix.shape[0], loads.shape[1]), dampers,
     )  # fmt: skip
-    known = CaseModel(
-        case=case,
-        columns=state.columns,
-        theta=written,
-        known=part,
-        loaded=loaded,
-        rows=rows,
-        mass=_mass(here, deck),
-        n_loads=loads.shape[1],
-        released=groups,
-    )
+    mass, n_loads = _mass(here, deck), loads.shape[1]
+    known = CaseModel(case, state.columns, written, part, loaded, rows, mass, n_loads, groups)
     return replace(known, known=known.changed(()).compared(written))
+
+
+def _matrices(
+    evaluator: Evaluator, state: CaseState, source: MatrixSource, theta: Floats
+) -> ParameterMatrices:
+    """Return the matrices for all values of a case; those of a large model are not all computed."""
+    columns = range(theta.size)
+    works = source.works(theta, columns)
+    own = evaluator.carry_out("matrices", works[:1], state)  # the model's
+    _check_size(own[0][0].result(MatrixResult) if own else None)
+    evaluator.carry_out("matrices", works[1:], state)
+    affine = source.matrices(theta, columns)
+    _check_size(affine.base)
+    return affine
+
+
+def _reduced(
+    state: CaseState,
+    part: CaseEvaluation,
+    affine: ParameterMatrices,
+    theta: Floats,
+    here: MatrixResult,
+    observer: sparse.csr_array,
+    solver: ModeSolver,
+) -> tuple[ReducedModel, Floats, SolvedModes, float]:
+    """Return a model on its modes and their derivatives, the basis, the modes and the shift.
+
+    here: the matrices at theta (n_columns,). solver: has their factors at the shift then.
+    """
+    size = here.nodes.size
+    massive = int(np.count_nonzero(here.upper_mass.diagonal()))
+    n_modes = min(part.modal.modes.n_modes + MORE_MODES, massive)
+    solved = solver.solve(here.upper_stiffness, here.upper_mass, n_modes)
+    shift = solved.shift
+    if size <= SMALL or not solver.inverts_exactly:
+        shift = min(shift, first_shift(state.campaign))
+        solver.factorise(here.upper_stiffness, here.upper_mass, shift)
+    if size <= SMALL:
+        return unreduced(affine, shift, observer), np.eye(size), solved, shift
+    _, n_rigid = solved_energies(state.campaign, here, solved)
+    model, basis = reduce(
+        affine, theta, solved.eigenvalues, solved.shapes, solver.inverse,
+        part.pairing.computed + n_rigid, n_rigid, observer, most=MOST_VECTORS,
+    )  # fmt: skip
+    return model, basis, solved, shift
 
 
 def _check_size(matrices: MatrixResult | None) -> None:
