@@ -23,7 +23,7 @@ from modetune.core.errors import CampaignError
 Place = tuple[str | int, ...]
 #: Repetitions (`*name`) of repetitions can make a short file endless.
 MOST_VALUES = 200_000
-#: Bytes for which PyYAML takes five seconds: some ten thousand springs. Larger systems are matrices.
+#: Bytes for which PyYAML takes five seconds: ten thousand springs. Larger systems are matrices.
 MOST_BYTES = 600_000
 
 
