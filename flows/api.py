@@ -448,6 +448,24 @@ def compare(
     return found
 
 
+def confirm(
+    run: StrPath | CampaignRun,
+    runs: StrPath = "runs",
+    *,
+    by: Literal["auto", "modes", "matrices"] = "auto",
+    fail_on: FailOn | None = None,
+    settings: Settings = (),
+    progress: bool = False,
+    prefect: bool = False,
+) -> CampaignRun:
+    """Let the solver confirm the answer of an update with `update.confirm: later`.
+
+    run: its run folder, campaign file, or result. by: as `update.confirm`. fail_on: as of `update`.
+    """
+    found: CampaignRun = _found("confirm", locals())
+    return found
+
+
 def history(
     of: CampaignLike | Sequence[str | Path],
     runs: StrPath = "runs",

@@ -67,6 +67,7 @@ modetune modes deck.bdf            # compute frequencies, rigid-body modes and m
 modetune correlate campaign.yaml   # compare models, tests and runs: pairs, MAC, COMAC
 modetune screen campaign.yaml      # choose parameters among many candidates
 modetune localise campaign.yaml    # locate modelling errors
+modetune confirm runs/garteur      # let the solver confirm an answer that it has not yet
 modetune compare a.yaml b.yaml     # which of several models explains a test best
 modetune sample campaign.yaml      # sample the posterior of the parameters
 modetune scatter campaign.yaml     # estimate how parameters vary among repeated tests

@@ -94,7 +94,7 @@ from modetune.core.storage.sealed_file import HDF5, LONGEST_TITLE, RecordFile, t
 from modetune.core.surface import Surface
 from modetune.core.updating.parameter_fields import FieldAnswer
 from modetune.core.updating.responses.response import Residual
-from modetune.core.updating.trust import Trust
+from modetune.core.updating.trust import UNCONFIRMED, Trust
 from modetune.core.updating.verdict import TrustVerdict
 
 
@@ -245,6 +245,11 @@ class CampaignRecord:
     def verdict(self) -> TrustVerdict:
         """How far the updated parameters can be trusted."""
         return TrustVerdict.NOT_JUDGED if self.trust is None else self.trust.verdict
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether the solver has still to confirm the answer."""
+        return self.trust is not None and UNCONFIRMED in self.trust.concerns
 
 
 def _with_extent(file: h5py.File) -> None:

@@ -73,6 +73,8 @@ FAR = 3.0
 ALIKE = 20.0
 #: Number of names that are listed.
 LISTED = 6
+#: The concern about an answer whose modes come from stored matrices alone.
+UNCONFIRMED = "The solver has not confirmed these values yet."
 #: All parameters count as determined if less than this is missing: the resolution of one decimal.
 ALL = 0.05
 #: Standard deviations of the test below which a change of measured values is rounding.

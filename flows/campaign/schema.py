@@ -430,11 +430,13 @@ class UpdateSection(Section):
     e2: NotNegative = 0.2
     """Change of the residual per parameter up to which an iteration reuses its sensitivity; 0:
     never. The default with `between: keep` is 0.002."""
-    confirm: Literal["auto", "modes", "matrices"] = "auto"
+    confirm: Literal["auto", "modes", "matrices", "later"] = "auto"
     """How updating with stored matrices confirms its final values: `modes`, by a modal job of the
     solver; `matrices`, by matrices that the solver assembles there, whose modes modetune computes
     again, and counts if memory or disk has room: this takes half the time, but omits the solver's
-    own eigensolution; `auto`, by matrices if a modal job should take ten seconds or more."""
+    own eigensolution; `auto`, by matrices if a modal job should take ten seconds or more; `later`,
+    not within the update but by `modetune confirm`; until then values are trusted only with
+    reservations."""
     max_iterations: Annotated[int, Field(ge=0, le=1000)] = 20
     """Maximum number of steps."""
     step_limit: Positive = 0.2

@@ -44,19 +44,19 @@ def paraview(
 ) -> None:
     """Write mode shapes on the whole mesh, before and after updating, for ParaView."""
     from modetune.flows.studies.paraview import (
-        open_source,
         states_of,
         write_field_file,
         write_paraview,
         write_stored,
     )
+    from modetune.flows.studies.run_source import open_run
 
     if stored:
         if settings or not place.is_dir():
             raise CampaignError(f"{place}: --stored requires a run folder, and takes no --set")
         written, unrun, fields = write_stored(place, state, out), False, None
     else:
-        source = open_source(place, settings or [], runs)
+        source = open_run(place, settings or [], runs)
         states = states_of(source, state)
         unrun = state == "both" and source.record is None
         place = out or source.run_folder / "paraview"

@@ -23,6 +23,7 @@ STUDIES = {
     "screen": ("screen.study", STUDY),
     "localise": ("localise.study", STUDY),
     "update": ("update", DAY),
+    "confirm": ("confirm", STUDY),
     "compare": ("compare.study", STUDY),
     "receive": ("receive.study", DAY),
     "history": ("history.study", DAY),

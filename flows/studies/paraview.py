@@ -22,29 +22,18 @@ from modetune.adapters.solver import ModalAnalysis
 from modetune.core.errors import CampaignError
 from modetune.core.near_names import named
 from modetune.core.parameters import Values
-from modetune.core.storage.campaign_record import CampaignRecord, read_record
+from modetune.core.storage.campaign_record import CAMPAIGN, read_record
 from modetune.core.storage.files import check_writable
 from modetune.core.updating.job_results import ModalResult
-from modetune.flows.campaign.campaign import Campaign, load_campaign
+from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.campaign_engine import job_engine
 from modetune.flows.jobs.job import Job
 from modetune.flows.report.field_tables import field_map
+from modetune.flows.studies.run_source import RunSource
 
 #: Which models of a campaign: as it started, as updating left it.
 State = Literal["initial", "updated"]
 STATES: tuple[State, ...] = ("initial", "updated")
-RECORD = "campaign.h5"
-#: How far above a run folder its campaign file is looked for.
-LEVELS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class SeriesSource:
-    """A campaign, and its record where it was run."""
-
-    campaign: Campaign
-    record: CampaignRecord | None
-    run_folder: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,43 +47,7 @@ class ShapeSeries:
     converted: bool
 
 
-def open_source(place: Path, settings: list[str], runs: Path) -> SeriesSource:
-    """The campaign of a campaign file or of a run folder. Raises CampaignError, StoreError."""
-    if not place.is_dir():
-        campaign = load_campaign(place, settings)
-        folder = runs / campaign.name
-        record = read_record(folder / RECORD) if (folder / RECORD).is_file() else None
-    else:
-        folder = place
-        record = read_record(folder / RECORD)
-        file = _campaign_file(folder, record)
-        campaign = load_campaign(file, [*record.settings, *settings])
-    if record is not None and record.parameters.names != campaign.parameters.names:
-        raise CampaignError(
-            f"{folder / RECORD} has the parameters {', '.join(record.parameters.names)}, but "
-            f"{campaign.file} has {', '.join(campaign.parameters.names)}; run `modetune update` "
-            "again, or name the campaign file it was made with"
-        )
-    return SeriesSource(campaign, record, folder)
-
-
-def _campaign_file(folder: Path, record: CampaignRecord) -> Path:
-    """The campaign file of a record: the same text, in a folder above. Raises CampaignError."""
-    above = [Path.cwd(), *folder.resolve().parents[:LEVELS]]
-    for path in (file for parent in above for file in sorted(parent.glob("*.y*ml"))):
-        try:
-            if path.read_text(encoding="utf-8") == record.campaign_text:
-                return path
-        except (OSError, UnicodeDecodeError):
-            continue
-    raise CampaignError(
-        f"{folder / RECORD}: no file in or above {folder} has the text of its campaign "
-        f"{record.name}; name the campaign file instead of the folder (with --runs if run folders "
-        "are not in ./runs)"
-    )
-
-
-def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
+def states_of(source: RunSource, wanted: str) -> dict[State, Values]:
     """Parameter values of the wanted states: initial, updated, or both. Raises CampaignError.
 
     `both` of a campaign that was never run is its initial state alone.
@@ -104,8 +57,8 @@ def states_of(source: SeriesSource, wanted: str) -> dict[State, Values]:
     if record is None:
         if wanted == "updated":
             raise CampaignError(
-                f"{source.run_folder / RECORD} is not there, so there is no updated model; run "
-                "`modetune update` first, or say --state initial"
+                f"{source.run_folder / CAMPAIGN.file} is not there, so there is no updated model; "
+                "run `modetune update` first, or say --state initial"
             )
         return {"initial": campaign.parameters.values(campaign.start)}
     first = next(item for item in record.iterations if item.accepted)
@@ -122,10 +75,10 @@ def write_stored(place: Path, wanted: str, out: Path | None) -> tuple[ShapeSerie
     Runs nothing and reads no campaign. Raises CampaignError, StoreError.
     """
     named("--state", wanted, (*STATES, "both"))
-    record, out = read_record(place / RECORD), out or place / "paraview"
+    record, out = read_record(place / CAMPAIGN.file), out or place / "paraview"
     if record.surface is None or not record.best.field.n_dof:
         raise CampaignError(
-            f"{place / RECORD} keeps no shapes on a surface: the campaign has several "
+            f"{place / CAMPAIGN.file} keeps no shapes on a surface: the campaign has several "
             "configurations, or a model of matrices"
         )
     check_writable(out, "name another place with --out")
@@ -157,7 +110,7 @@ def write_paraview(
     return tuple(_write_state(campaign, state, values, out) for state, values in states.items())
 
 
-def write_field_file(source: SeriesSource, out: Path) -> Path | None:
+def write_field_file(source: RunSource, out: Path) -> Path | None:
     """Write fields.vtu with what updating found of fields; None where there are none.
 
     Of each field its values relative to the deck, their standard errors, and by how many deviations

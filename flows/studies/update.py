@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modetune.core.storage.campaign_record import CampaignRecord
+    from modetune.core.updating.verdict import FailOn
     from modetune.flows.campaign.campaign import Campaign
     from modetune.flows.updating.forecast import Progress
     from modetune.flows.updating.record import CampaignRun
@@ -55,20 +56,29 @@ def update(on: StudyContext, options: UpdateOptions) -> StudyResult:
     verdict; otherwise 6 if --fail-on excludes the verdict on the updated parameters, or 7 with
     --fail-on change if the structure has changed over its runs.
     """
+    from modetune.flows.updating.update import is_same
+
+    on.campaign.solver_version()  # a missing solver is reported before anything else starts
+    return updated(on, options.fail_on, on.scheduled and is_same(on.campaign, on.folder))
+
+
+def updated(on: StudyContext, fail_on: FailOn | None, same: bool = False) -> StudyResult:
+    """Run the context's campaign, and return the result of its update.
+
+    same: whether a schedule repeats the run before. Raises as `update_campaign` does.
+    """
     from modetune.flows.report.headline import first_line
     from modetune.flows.report.mode_tables import mode_table
     from modetune.flows.report.parameter_tables import parameter_table
     from modetune.flows.updating.forecast import told_forecast
     from modetune.flows.updating.record import summary
     from modetune.flows.updating.run_history import drift_json
-    from modetune.flows.updating.update import is_same, update_from_starts
+    from modetune.flows.updating.update import update_from_starts
 
     campaign, progress = on.campaign, on.progress
-    campaign.solver_version()  # a missing solver is reported before anything else starts
     progress.keep(on.folder)
-    same = on.scheduled and is_same(campaign, on.folder)
     run = update_from_starts(campaign, on.folder, progress, forecast=progress.forecast)
-    run = replace(run, fail_on=options.fail_on or campaign.run.fail_on)
+    run = replace(run, fail_on=fail_on or campaign.run.fail_on)
     record, verdict = run.record, run.verdict
     status, reason = record.status, record.reason
     if same and not record.runs.modal + record.runs.sensitivity:

@@ -689,14 +689,19 @@ class Evaluator:
 
     # confirmation by the solver
 
+    def is_solvers(self, evaluation: Evaluation) -> bool:
+        """Return whether the solvers themselves found the modes of an evaluation."""
+        pairs = zip(self.used, evaluation.parts, strict=True)
+        return not self.reducible or all(
+            part.solved_by == state.case.solver.program.name for state, part in pairs
+        )
+
     def confirmed(self, number: int, evaluation: Evaluation) -> Evaluation | None:
         """Return a point evaluated with the solvers' own modes; None if it already was."""
-        if not self.reducible:
+        if self.is_solvers(evaluation):
             return None
         title = f"iteration {number}"
         pairs = list(zip(self.used, evaluation.parts, strict=True))
-        if all(part.solved_by == state.case.solver.program.name for state, part in pairs):
-            return None
         for state, _ in pairs:
             finder = state.finder
             if isinstance(finder, ByMatrices) and not confirms_by_matrices(

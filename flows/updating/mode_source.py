@@ -376,7 +376,7 @@ def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.na
 
     own: as in `modes_source`; run_s: expected time of that run, by default from its forecast.
     """
-    if campaign.update.confirm != "auto":
+    if campaign.update.confirm in ("modes", "matrices"):
         return campaign.update.confirm == "matrices"
     if np.isnan(run_s):
         run_s = modes_forecast(campaign, own, UPDATING).run_s
@@ -386,6 +386,7 @@ def confirms_by_matrices(campaign: Campaign, own: BySolver, run_s: float = np.na
 def modes_forecast(campaign: Campaign, own: BySolver, demand: Demand) -> ModesForecast:
     """Return the expected times of both sources, as first forecast."""
     every = range(len(campaign.parameters))
+    confirm = campaign.update.confirm
     extra = _further_runs(campaign, own)
     asked: Json = {
         "choice of modes": VERSION,
@@ -395,7 +396,7 @@ def modes_forecast(campaign: Campaign, own: BySolver, demand: Demand) -> ModesFo
         "steps": demand.steps,
         "sets": demand.sets,
         "wanted": demand.matrices,
-        "confirm": campaign.update.confirm,
+        "confirm": "auto" if confirm == "later" else confirm,
     }
 
     def compute() -> ModesForecast:

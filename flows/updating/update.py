@@ -51,7 +51,7 @@ from modetune.core.storage.campaign_record import (
 from modetune.core.storage.files import check_writable, remove_parts, storage_errors
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.upgrade import RUN_LOCK
-from modetune.core.updating.trust import StartSpread, with_concerns, with_spread
+from modetune.core.updating.trust import UNCONFIRMED, StartSpread, with_concerns, with_spread
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.campaign.case import Case
 from modetune.flows.campaign.schema import STORE_REMEDY
@@ -202,21 +202,33 @@ def read_earlier(folder: Path) -> EarlierRun | None:
 def with_first_cost(record: CampaignRecord, earlier: EarlierRun | None) -> CampaignRecord:
     """Return the record with runs and times of the previous run if the store had all jobs.
 
-    So a record states the cost of computing the results, not of reading them from the store.
+    So a record states the cost of computing the results, not of reading them from the store. What
+    confirmed an answer later is added to the cost of finding it.
     """
-    if earlier is None or record.runs.modal or record.runs.sensitivity:
+    if earlier is None:
         return record
     then = earlier.record
-    same = [item.modal_key for item in then.iterations] == [
-        item.modal_key for item in record.iterations
+    confirmed = then.unconfirmed and not record.unconfirmed
+    if (record.runs.modal or record.runs.sensitivity) and not confirmed:
+        return record
+    # The modes of an answer that was confirmed later are other ones.
+    answer = record.best.number if confirmed else -1
+    keys = [
+        [item.modal_key for item in one.iterations if item.number != answer]
+        for one in (then, record)
     ]
-    if not same:
+    if keys[0] != keys[1] or len(then.iterations) != len(record.iterations):
         return record
     iterations = tuple(
-        replace(item, runs=old.runs, wall_s=old.wall_s)
+        replace(item, runs=old.runs.plus(item.runs), wall_s=old.wall_s + item.wall_s)
+        if item.number == answer
+        else replace(item, runs=old.runs, wall_s=old.wall_s)
         for item, old in zip(record.iterations, then.iterations, strict=True)
     )
-    return replace(record, runs=then.runs, wall_s=then.wall_s, iterations=iterations)
+    runs, wall_s = then.runs, then.wall_s
+    if confirmed:
+        runs, wall_s = runs.plus(record.runs), wall_s + record.wall_s
+    return replace(record, runs=runs, wall_s=wall_s, iterations=iterations)
 
 
 def is_unchanged(campaign: Campaign, engine: JobEngine, earlier: EarlierRun) -> bool:
@@ -300,7 +312,7 @@ class Updating:
                 others.seek(self._record("converged", ""))
 
         evaluator.idle, idle = seek, evaluator.idle
-        end = Loop(campaign, evaluator, self, around=self.around, foresight=self.foresight).run()
+        end = self._loop(campaign, around=self.around)
         evaluator.idle, self.matrix = idle, end.matrix
         tried = others.tried(self._record(end.status, end.reason), end.last)
         if tried is not None and tried.moves:
@@ -308,6 +320,10 @@ class Updating:
         held = held_out(self.evaluator, self.kept[0], self.kept[-1])
         record = checked(replace(self._record(end.status, end.reason), held_out=held))
         record = self._with_causes(record)
+        if not self._confirms and record.trust and not evaluator.is_solvers(self.kept[-1]):
+            reason = f"{record.reason}; `modetune confirm` lets the solver confirm it"
+            trust = with_concerns(record.trust, UNCONFIRMED)
+            record = replace(record, reason=reason, trust=trust)
         if tried is not None and record.trust is not None:
             spread = tried.spread(record)
             trust = with_spread(record.trust, spread)
@@ -316,7 +332,7 @@ class Updating:
             record = replace(record, trust=trust)
         at_bounds = self.campaign.parameters.at_bounds(record.updated)
         if at_bounds:
-            record = replace(record, reason=f"{end.reason}; on a bound: {', '.join(at_bounds)}")
+            record = replace(record, reason=f"{record.reason}; on a bound: {', '.join(at_bounds)}")
         return record
 
     def _with_causes(self, record: CampaignRecord) -> CampaignRecord:
@@ -338,11 +354,24 @@ class Updating:
         """Continue from the best end."""
         campaign = replace(self.campaign, begin=tuple(tried.better.tolist()))
         title, number = "another start fits better", self.iterations[-1].number + 1
-        end = Loop(
-            campaign, self.evaluator, self, first=number, title=title, foresight=self.foresight
-        ).run()
+        end = self._loop(campaign, first=number, title=title)
         self.matrix = end.matrix
         return replace(end, reason=f"{end.reason}; the best of {tried.n_starts} starts")
+
+    def _loop(self, campaign: Campaign, **where: Any) -> End:
+        """Update from the campaign's start; where: the start of a `Loop`."""
+        return Loop(
+            campaign,
+            self.evaluator,
+            self,
+            confirms=self._confirms,
+            foresight=self.foresight,
+            **where,
+        ).run()
+
+    @property
+    def _confirms(self) -> bool:
+        return self.campaign.update.confirm != "later"
 
     def working(self, text: str) -> None:
         self.progress.working(text)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modetune.flows.api import (
         check,
         compare,
+        confirm,
         correlate,
         direct,
         expand,
@@ -55,6 +56,7 @@ __all__ = [
     "ModetuneError",
     "check",
     "compare",
+    "confirm",
     "correlate",
     "direct",
     "expand",

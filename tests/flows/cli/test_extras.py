@@ -74,6 +74,7 @@ import modetune
 calls = {
     "check": lambda: modetune.check("campaign.yaml"),
     "compare": lambda: modetune.compare(["campaign.yaml", "other.yaml"], settings=ONE),
+    "confirm": lambda: modetune.confirm("campaign.yaml"),
     "correlate": lambda: modetune.correlate("campaign.yaml"),
     "direct": lambda: modetune.direct("campaign.yaml"),
     "expand": lambda: modetune.expand("campaign.yaml"),
@@ -125,8 +126,9 @@ def test_every_function_runs_without_extras_or_names_one(tmp_path: Path) -> None
     assert "modetune[oma]" in named["identify"]
     assert "modetune[studies]" in named["sample"]
     refused = {name: text for name, text in ends.items() if text != "ran" and name not in named}
-    # Masses and springs name no units.
-    assert refused.keys() == {"go"}, refused
+    # Masses and springs name no units, and are the solver's own.
+    assert refused.keys() == {"confirm", "go"}, refused
+    assert "nothing left to confirm" in refused["confirm"]
     assert "the units of six_mass.yaml are unknown" in refused["go"]
 
 

@@ -21,12 +21,11 @@ from modetune.core.storage.campaign_record import write_record
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.cli.paraview import paraview as paraview_command
 from modetune.flows.studies.paraview import (
-    SeriesSource,
-    open_source,
     states_of,
     write_paraview,
     write_stored,
 )
+from modetune.flows.studies.run_source import RunSource, open_run
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.solved import needs_ccx
 from tests.flows.conftest import ChainDeck, ScriptedProgram, recased
@@ -90,7 +89,7 @@ def test_before_and_after_take_one_run_each_and_none_again(
 ) -> None:
     run = update_campaign(load_campaign(strip), tmp_path / "runs" / "strip", watcher)
     assert run.record.status == "converged"
-    source = open_source(strip, [], tmp_path / "runs")
+    source = open_run(strip, [], tmp_path / "runs")
     before = runs(source.campaign)
     written = write_paraview(source.campaign, states_of(source, "both"), tmp_path / "out")
     assert [(item.state, item.ran, item.converted) for item in written] == [
@@ -119,7 +118,7 @@ def test_before_and_after_take_one_run_each_and_none_again(
 
 @needs_ccx
 def test_a_damaged_result_file_is_told_and_its_remedy_works(strip: Path, tmp_path: Path) -> None:
-    source = open_source(strip, ["run.keep_jobs=true"], tmp_path / "runs")
+    source = open_run(strip, ["run.keep_jobs=true"], tmp_path / "runs")
     states = states_of(source, "initial")
     write_paraview(source.campaign, states, tmp_path / "out")
     (frd,) = source.campaign.store.folder.glob("jobs/*/job.frd")  # kept, as the campaign says
@@ -148,7 +147,7 @@ def test_the_command_takes_a_run_folder_and_finds_its_campaign(
     }  # fmt: skip
     strip.write_text(CAMPAIGN + "# changed\n")
     with pytest.raises(CampaignError, match="name the campaign file instead of the folder"):
-        open_source(folder, [], tmp_path / "runs")
+        open_run(folder, [], tmp_path / "runs")
 
 
 @needs_ccx
@@ -157,7 +156,7 @@ def test_a_campaign_that_was_never_run_has_its_initial_model(strip: Path, tmp_pa
     assert said.exit_code == 0
     assert "initial.pvd  11 modes, one solver run" in said.output
     assert "has not been run, so there is no updated model yet" in said.output
-    source = open_source(strip, [], tmp_path / "runs")
+    source = open_run(strip, [], tmp_path / "runs")
     with pytest.raises(CampaignError, match=r"campaign\.h5 is not there.*modetune update"):
         states_of(source, "updated")
     with pytest.raises(
@@ -168,13 +167,13 @@ def test_a_campaign_that_was_never_run_has_its_initial_model(strip: Path, tmp_pa
 
 def test_a_folder_without_a_record_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match=r"campaign\.h5"):
-        open_source(tmp_path, [], tmp_path)
+        open_run(tmp_path, [], tmp_path)
 
 
 def test_other_solvers_are_written_from_mesh_and_result(bench: Any, watcher: Any) -> None:
     campaign = bench.campaign(TRUTH, shapes=True)
     run = update_campaign(campaign, bench.folder / "base", watcher)
-    source = SeriesSource(campaign, run.record, run.folder)
+    source = RunSource(campaign, run.record, run.folder)
     before = bench.runs()
     written = write_paraview(campaign, states_of(source, "both"), bench.folder / "out")
     # The campaign asked for the same nodes, all of them: the store has both.
@@ -194,9 +193,9 @@ def test_another_campaign_than_the_records_is_refused(
 ) -> None:
     run = update_campaign(bench.campaign(TRUTH), tmp_path / "runs" / "chain", watcher)
     other = bench.campaign({"k3": 1.1})
-    monkeypatch.setattr("modetune.flows.studies.paraview.load_campaign", lambda *rest: other)
+    monkeypatch.setattr("modetune.flows.studies.run_source.load_campaign", lambda *rest: other)
     with pytest.raises(CampaignError, match=r"has the parameters k1, k2, but .* has k3"):
-        open_source(bench.folder / "chain.yaml", [], run.folder.parent)
+        open_run(bench.folder / "chain.yaml", [], run.folder.parent)
 
 
 def test_a_model_without_geometry_is_refused_before_any_run(bench: Any) -> None:

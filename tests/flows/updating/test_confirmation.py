@@ -6,17 +6,19 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
+import modetune
 from modetune.core.algebra import pencil
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
-from modetune.core.errors import SolverExhausted
-from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.errors import CampaignError, SolverExhausted
+from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.core.storage.store import Entry, Store
+from modetune.core.updating.verdict import TrustVerdict
 from modetune.flows.campaign.campaign import load_campaign
 from modetune.flows.updating import mode_source, solutions
 from modetune.flows.updating.forecast import Unwatched
@@ -97,6 +99,51 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
     monkeypatch.setattr(mode_source, "SPARED_S", 100.0)
     again = record_of(file, tmp_path / "modes", watcher)
     assert (again.best.solved_by, again.runs.modal) == ("calculix", 0)
+
+
+@pytest.mark.parametrize(
+    ("case", "by"), [(cymbal, "modes"), (tuning_fork, "matrices"), (long_bar, "matrices")]
+)
+def test_an_answer_is_confirmed_later_by_one_job(
+    case: Callable[[], Case],
+    by: Literal["modes", "matrices"],
+    tmp_path: Path,
+    watcher: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(solutions, "KEPT_FROM", 0)  # as of a large model
+    file, place = written(case(), tmp_path / "part"), tmp_path / "later"
+    at_once = record_of(file, tmp_path / "at once", watcher, f"update.confirm={by}")
+    found, folder = record_of(file, place, watcher, "update.confirm=later"), place / "run0"
+    assert (found.unconfirmed, found.runs.modal) == (True, 0)
+    assert found.verdict is not TrustVerdict.TRUSTED
+    assert found.runs.sensitivity == at_once.runs.sensitivity - (by == "matrices")
+
+    real = Store.put
+
+    def killed(self: Store, *given: Any) -> None:
+        raise Killed
+
+    monkeypatch.chdir(file.parent)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "put", killed)
+        with pytest.raises(Killed):
+            modetune.confirm(folder, by=by)
+    assert read_record(folder).unconfirmed
+    assert Store.put is real
+    confirmed = modetune.confirm(folder, by=by).record
+    kept = read_record(folder)
+    assert not kept.unconfirmed
+    # The record has the cost of both; the command itself ran one job.
+    assert confirmed.runs.modal + confirmed.runs.sensitivity == 1
+    assert (kept.runs.modal, kept.runs.sensitivity) == (
+        at_once.runs.modal,
+        at_once.runs.sensitivity,
+    )
+    records = tmp_path / "at once" / "run0" / "campaign.h5", folder / "campaign.h5"
+    assert differences(*records) == ["settings"]  # where their stores are
+    with pytest.raises(CampaignError, match="nothing left to confirm: calculix"):
+        modetune.confirm(folder)
 
 
 @pytest.mark.parametrize("case", [long_bar, cymbal, tuning_fork])
