@@ -1,8 +1,8 @@
-"""The cost of a command: wall time, processor time, memory of its process tree, CalculiX runs.
+"""The cost of a command: wall time, processor time, memory of its process tree, runs of the solver.
 
 Memory is the largest sum of resident sizes over the command and all its descendants, sampled 20
 times a second from /proc; shared pages count in each process. Runs are counted by a shell script in
-place of `ccx`, which records the type and duration of each job.
+place of the solver, which records the type and duration of each job.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -20,16 +21,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modetune.adapters.calculix.solver import PROGRAM_VARIABLE
+from modetune.adapters.nastran.dialect import MYSTRAN
 
+#: Solvers: the variable that names the program, and its usual name.
+PROGRAMS = {"calculix": (PROGRAM_VARIABLE, "ccx"), "mystran": (MYSTRAN.variable, MYSTRAN.program)}
 PERIOD_S = 0.05
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
-#: Asking for the version is not a run. A job's steps are its deck's last lines.
+#: Asking for the version is not a run. What a job is for is in its deck's first or last lines.
 COUNTER = """\
 #!/bin/sh
-if [ "$1" = -i ]; then
+case "$1" in
+-i) deck=$2.inp ;;
+*) deck=$1 ;;
+esac
+if [ -f "$deck" ]; then
     kind=modal
-    if tail -n 200 "$2.inp" | grep -qi MATRIXSTORAGE; then kind=matrices; fi
+    if {{ head -n 100 "$deck"; tail -n 200 "$deck"; }} | grep -qi -e MATRIXSTORAGE -e OUTPUT4; then
+        kind=matrices
+    fi
     echo $kind >> {log}
     begun=$(date +%s.%N)
     {program} "$@"
@@ -65,33 +75,29 @@ class Ended:
 
 
 def run_counted(
-    command: Sequence[str], folder: Path, environment: Mapping[str, str], program: str
+    command: Sequence[str], folder: Path, environment: Mapping[str, str], solver: str = "calculix"
 ) -> Ended:
-    """Run a command in a folder with a counting CalculiX.
+    """Run a command in a folder with a counting solver.
 
-    environment: all of the command's; MODETUNE_CCX is added. program: CalculiX itself. Raises
-    SystemExit where it is not installed.
+    environment: all of the command's; the variable that names the solver is added.
     """
-    log, counter = folder / "ccx-runs.txt", folder / "counted-ccx"
-    log.write_text("")
-    script = COUNTER.format(log=shlex.quote(str(log)), program=shlex.quote(found(program)))
-    counter.write_text(script)
-    counter.chmod(0o755)
+    log, counter = folder / "runs.txt", counting(folder, solver)
     with (folder / "output.txt").open("wb") as output, (folder / "errors.txt").open("wb") as errors:
         started = time.monotonic()
         process = subprocess.Popen(
             command,
             cwd=folder,
-            env={**environment, PROGRAM_VARIABLE: str(counter)},
+            env={**environment, PROGRAMS[solver][0]: str(counter)},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=errors,
+            start_new_session=True,  # Dakota ends with its group
         )
         with watched(process.pid) as peak:
             try:
                 _, status, usage = os.wait4(process.pid, 0)
             except BaseException:
-                process.kill()
+                os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
                 raise
         wall_s = time.monotonic() - started
@@ -115,6 +121,20 @@ def run_counted(
     return Ended(process.returncode, output_text, errors_text, cost)
 
 
+def counting(folder: Path, solver: str) -> Path:
+    """Write a script in place of a solver, with an empty list of its runs; return its path.
+
+    Raises SystemExit where the solver is not installed.
+    """
+    log, counter = folder / "runs.txt", folder / f"counted-{solver}"
+    variable, usual = PROGRAMS[solver]
+    program = found(os.environ.get(variable, usual))
+    log.write_text("")
+    counter.write_text(COUNTER.format(log=shlex.quote(str(log)), program=shlex.quote(program)))
+    counter.chmod(0o755)
+    return counter
+
+
 def calculix() -> str:
     """Full path of CalculiX, as modetune would start it. Raises SystemExit where it is missing."""
     return found(os.environ.get(PROGRAM_VARIABLE, "ccx"))
@@ -124,10 +144,7 @@ def found(program: str) -> str:
     """Full path of a program. Raises SystemExit where there is none."""
     path = shutil.which(program)
     if path is None:
-        sys.exit(
-            f"CalculiX (`{program}`) is not installed; on Debian and Ubuntu: "
-            "apt-get install calculix-ccx"
-        )
+        sys.exit(f"`{program}` is not installed; `modetune doctor` says how to get solvers")
     return path
 
 

@@ -25,8 +25,8 @@ from modetune.core.parameters import Parameter
 
 #: Materials of the plate, one for each strip across it.
 STRIPS = 5
-#: Its length and width, m; four times as many elements along it as across.
-LENGTH, WIDTH = 4.0, 1.0
+#: Its length and width, mm; four times as many elements along it as across.
+LENGTH, WIDTH = 4000.0, 1000.0
 N_MODES = 10
 
 
@@ -36,7 +36,7 @@ def plate(n_grids: int) -> tuple[str, int]:
     along = 4 * across
     lines = ["SOL 103", "CEND", "METHOD=1", "SPC=1", "BEGIN BULK", f"EIGRL,1,,,{N_MODES}"]
     for strip in range(1, STRIPS + 1):
-        lines += [f"MAT1,{strip},7.{strip}+10,,.3,2700.", f"PSHELL,{strip},{strip},.01,{strip}"]
+        lines += [f"MAT1,{strip},7{strip}000.,,.3,2.7-9", f"PSHELL,{strip},{strip},10.,{strip}"]
 
     def grid(i: int, j: int) -> int:
         return 1 + i * (across + 1) + j
@@ -44,7 +44,7 @@ def plate(n_grids: int) -> tuple[str, int]:
     for i in range(along + 1):
         for j in range(across + 1):
             x, y = LENGTH * i / along, WIDTH * j / across
-            lines.append(f"GRID    {grid(i, j):>8}        {x:8.5f}{y:8.5f}      0.")
+            lines.append(f"GRID    {grid(i, j):>8}        {x:8.2f}{y:8.2f}      0.")
     for i in range(along):
         for j in range(across):
             corners = (grid(i, j), grid(i + 1, j), grid(i + 1, j + 1), grid(i, j + 1))

@@ -20,8 +20,15 @@ import numpy as np
 from benchmarks.problem import Agreement, Problem
 
 from modetune.adapters.calculix.solver import calculix_solver
+from modetune.adapters.nastran.solver import mystran_solver
 from modetune.adapters.process import LOG, run_process
-from modetune.adapters.solver import Analysis, MatrixAnalysis, ModalAnalysis, Solver
+from modetune.adapters.solver import (
+    Analysis,
+    MatrixAnalysis,
+    ModalAnalysis,
+    Rendered,
+    Solver,
+)
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.modes import Floats, ModeSet
 from modetune.core.updating.job_results import ModalResult, Result
@@ -29,6 +36,7 @@ from modetune.core.updating.job_results import ModalResult, Result
 #: Additional requested modes if modes are paired by shape and may change places.
 SPARE_MODES = 2
 TIMEOUT_S = 36_000.0
+SOLVERS = {"calculix": calculix_solver, "mystran": mystran_solver}
 EQUATIONS = re.compile(r"number of equations\s+(\d+)")
 
 
@@ -60,7 +68,8 @@ class PlainModel:
 
     @cached_property
     def solver(self) -> Solver:
-        return calculix_solver(self.problem.deck, self.problem.parameters)
+        made = SOLVERS[self.problem.solver]
+        return made(self.problem.deck, self.problem.parameters)
 
     @property
     def n_modes(self) -> int:
@@ -74,11 +83,20 @@ class PlainModel:
         Raises SolverError, as the others do.
         """
         sensors = self.problem.sensors
-        analysis = ModalAnalysis(self.n_modes, sensors or (min(self.solver.deck.summary.node_ids),))
-        result, cost = self._run(theta, analysis)
+        result, cost = self._run(theta, self.modal)
         assert isinstance(result, ModalResult)
         modes = result.modes.select(range(self.problem.n_rigid, self.n_modes))
         return modes if sensors else modes.rows([]), cost
+
+    @property
+    def modal(self) -> ModalAnalysis:
+        """The request of a modal run."""
+        sensors = self.problem.sensors or (min(self.solver.deck.summary.node_ids),)
+        return ModalAnalysis(self.n_modes, sensors)
+
+    def render(self, theta: Floats) -> Rendered:
+        """A modal run's input files."""
+        return self.solver.render(self.problem.parameter_set.values(theta), self.modal)
 
     def matrices(self, theta: Floats) -> tuple[MatrixResult, JobCost]:
         """The assembled stiffness and mass at these values."""
@@ -113,7 +131,8 @@ def quickest(problem: Problem) -> tuple[Problem, ModeSet]:
     CalculiX gains little by threads on most models, and loses much by them where another process
     requires a core now and then: its threads wait for each other at full speed.
     """
-    tried = [replace(problem, threads=count) for count in sorted({1, cores()})]
+    counts = {1, cores()} if problem.solver == "calculix" else {1}  # MYSTRAN has one
+    tried = [replace(problem, threads=count) for count in sorted(counts)]
     runs = [PlainModel(each).modes(np.array(problem.truth)) for each in tried]
     best = min(range(len(tried)), key=lambda place: runs[place][1].wall_s)
     return tried[best], runs[best][0]

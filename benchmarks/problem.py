@@ -19,8 +19,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from benchmarks.large_deck import plate
 
 from modetune.adapters.test_files.modes_csv import read_modes_csv, write_modes_csv
+from modetune.configs.bracket import bracket
 from modetune.configs.garteur import aircraft
 from modetune.configs.launcher import launcher
 from modetune.core.correlation.pairing import pair_by_shape
@@ -67,7 +69,7 @@ LAUNCHER_TRUTH = {
 
 CAMPAIGN = """\
 name: {name}
-model: {{deck: model.inp, solver: calculix, units: mm-t-s}}
+model: {{deck: {deck}, solver: {solver}, units: mm-t-s}}
 test: {{modes: measured.csv}}
 parameters:
 {parameters}
@@ -120,11 +122,11 @@ def agreement(measured: ModeSet, computed: ModeSet) -> Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The model of a case and a size.
+    """The model of a case and a size, in mm-t-s.
 
     write_deck: writes it to a path. truth: material to hidden modulus, relative to the deck's.
     n_modes: elastic modes compared; n_rigid: rigid-body modes below them. sensors: nodes at which
-    shapes are compared; without them only frequencies are.
+    shapes are compared; without them only frequencies are. bounds: of the moduli.
     """
 
     write_deck: Callable[[Path], object]
@@ -132,6 +134,8 @@ class Model:
     n_modes: int
     n_rigid: int
     sensors: tuple[int, ...] = ()
+    solver: str = "calculix"
+    bounds: tuple[float, float] = BOUNDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +158,11 @@ class Problem:
     target: float
     measured: ModeSet
     threads: int = 1
+    solver: str = "calculix"
 
     @property
     def deck(self) -> Path:
-        return self.folder / "model.inp"
+        return self.folder / ("model.inp" if self.solver == "calculix" else "model.bdf")
 
     @property
     def campaign(self) -> Path:
@@ -187,6 +192,49 @@ def garteur(size: str) -> Model:
     return Model(write, GARTEUR_TRUTH, GARTEUR_MODES, 6)
 
 
+#: Grid points of the plate for MYSTRAN, of five strips (large_deck.py).
+PLATES = {"tiny": 300, "medium": 6_000}
+PLATE_TRUTH = {"1": 1.20, "2": 0.85, "3": 1.10, "4": 0.80, "5": 1.25}
+
+
+def plate_of(size: str) -> Model:
+    """A clamped plate of five strips, a Nastran deck that MYSTRAN runs."""
+
+    def write(path: Path) -> None:
+        path.write_text(plate(PLATES[size])[0])
+
+    return Model(write, PLATE_TRUTH, 6, 0, solver="mystran")
+
+
+#: Edge of the bracket's tetrahedra, mm.
+BRACKETS = {"tiny": 30.0, "medium": 7.0}
+BRACKET_TRUTH = {
+    "BASE_NEAR": 1.5, "BASE_FAR": 0.6, "WALL_LOW": 0.65, "WALL_HIGH": 1.4, "RIB_LOW": 1.6,
+    "RIB_HIGH": 0.7,
+}  # fmt: skip
+
+
+def bracket_of(size: str) -> Model:
+    """The bracket of configs/bracket in six halves of its parts, free, far from its truth."""
+    made = bracket.mesh(BRACKETS[size])
+    middles = {name: made.coordinates[rows - 1].mean(axis=1) for name, rows in made.parts.items()}
+    cuts = {"BASE": (0, "NEAR", "FAR"), "WALL": (2, "LOW", "HIGH"), "RIB": (2, "LOW", "HIGH")}
+    parts = {}
+    for name, (axis, below, above) in cuts.items():
+        low = middles[name][:, axis] < np.median(middles[name][:, axis])
+        parts |= {f"{name}_{below}": made.parts[name][low]}
+        parts |= {f"{name}_{above}": made.parts[name][~low]}
+    halves = bracket.TetrahedralMesh(made.coordinates, parts)
+    corners = np.unique(np.concatenate([rows[:, :4].ravel() for rows in parts.values()]))
+    places = np.linspace(0, corners.size - 1, 16).astype(int)
+
+    def write(path: Path) -> None:
+        path.write_text(bracket.calculix_deck(halves))
+
+    sensors = tuple(corners[places].tolist())
+    return Model(write, BRACKET_TRUTH, 8, 6, sensors, bounds=(0.3, 2.5))
+
+
 def launcher_of(size: str) -> Model:
     """The bare launcher of configs/launcher, bolted down, with shapes at its sensors."""
     mesh = launcher.mesh_of(LAUNCHERS[size])
@@ -203,6 +251,8 @@ def launcher_of(size: str) -> Model:
 CASES: dict[str, tuple[tuple[str, ...], Callable[[str], Model]]] = {
     "garteur": (tuple(AIRCRAFT), garteur),
     "launcher": (tuple(LAUNCHERS), launcher_of),
+    "plate": (tuple(PLATES), plate_of),
+    "bracket": (tuple(BRACKETS), bracket_of),
 }
 
 
@@ -211,7 +261,7 @@ def set_up(case: str, size: str, target: float, folder: Path) -> Problem:
     model = CASES[case][1](size)
     folder.mkdir(parents=True)
     parameters = tuple(
-        Parameter(f"E_{name}", "youngs_modulus", "material", (name,), *BOUNDS, DEVIATION)
+        Parameter(f"E_{name}", "youngs_modulus", "material", (name,), *model.bounds, DEVIATION)
         for name in model.truth
     )
     problem = Problem(
@@ -225,6 +275,7 @@ def set_up(case: str, size: str, target: float, folder: Path) -> Problem:
         model.sensors,
         target,
         mode_set([]),
+        solver=model.solver,
     )
     model.write_deck(problem.deck)
     return problem
@@ -234,15 +285,16 @@ def write_problem(problem: Problem) -> None:
     """Write test, campaign and problem.json next to the deck."""
     numbers = range(1, problem.n_modes + 1)
     write_modes_csv(problem.folder / "measured.csv", numbers, problem.measured, ["a twin's modes"])
-    lower, upper = BOUNDS
     parameters = "\n".join(
         f"  - {{name: {item.name}, quantity: youngs_modulus, material: {item.targets[0]}, "
-        f"bounds: [{lower}, {upper}]}}"
+        f"bounds: [{item.lower}, {item.upper}]}}"
         for item in problem.parameters
     )
     problem.campaign.write_text(
         CAMPAIGN.format(
             name=f"{problem.case}-{problem.size}",
+            deck=problem.deck.name,
+            solver=problem.solver,
             parameters=parameters,
             target=problem.target,
             mac=LEAST_MAC,

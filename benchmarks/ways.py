@@ -5,11 +5,12 @@
     c  the thesis's Case II: modetune with finite differences in each iteration
     d  the thesis's Case I: the same, skipped where e2 allows, with Broyden's update
     e  modetune with default settings
-    f  Dakota's NL2SOL around the solver, differences side by side
+    f  Dakota's NL2SOL with a script around the solver, differences side by side
 
 All start at the deck's values and end when every frequency is within the target; the truth is
-known (problem.py). a, b and f (published.py) give CalculiX one thread or all cores, whichever is
-quicker. Errors are those of one more plain run at the values each ended with.
+known (problem.py). a and b (published.py) give a lone run one thread or all cores, whichever is
+quicker; runs side by side have one, as all of f (dakota.py). Errors are those of one more plain run
+at the values each ended with.
 
     python -m benchmarks.ways [--case garteur] [--sizes coarse medium fine:bef] [--target 1e-4]
 
@@ -31,7 +32,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from benchmarks.cost import Cost, Ended, calculix, run_counted
+from benchmarks import dakota
+from benchmarks.cost import Cost, Ended, calculix, counting, run_counted
 from benchmarks.plain import JobCost, PlainModel, cores, quickest
 from benchmarks.problem import CASES, TARGET, Problem, set_up, write_problem
 from benchmarks.time_spent import profiled
@@ -57,7 +59,7 @@ THESIS = ("sensitivity.method=finite_difference", "sensitivity.between=broyden",
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A way of updating: a method of published.py, or settings of `modetune update`."""
+    """A way of updating: a method of published.py, Dakota, or settings of `modetune update`."""
 
     letter: str
     name: str
@@ -69,7 +71,7 @@ WAYS = {
     way.letter: way
     for way in (
         Way("a", "differences one by one, numpy", method="gauss_newton"),
-        Way("b", "SciPy least_squares", method="least_squares"),
+        Way("b", "SciPy least_squares, in parallel", method="least_squares"),
         Way("c", "thesis's Case II", settings=(*THESIS, "update.e2=0")),
         Way("d", "thesis's Case I", settings=THESIS),
         Way("e", "modetune, default settings"),
@@ -146,16 +148,23 @@ def run_way(
     Raises SystemExit where the command fails.
     """
     folder.mkdir(parents=True)
-    if way.method:
+    if way.method == "nl2sol":
+        counter = counting(folder, problem.solver)
+        command = dakota.write_study(problem, folder, str(counter))
+        ended = run_counted(command, folder, dict(os.environ), problem.solver)
+        converged, theta = dakota.result(problem, folder)
+        if ended.return_code and not converged:
+            sys.exit(f"{way.name} failed:\n{ended.output[-1000:]}\n{ended.errors[-1000:]}")
+    elif way.method:
         command = [sys.executable, "-m", "benchmarks.published", way.method, str(problem.folder)]
-        ended = run_counted(command, folder, importing(), calculix())
+        ended = run_counted(command, folder, importing(), problem.solver)
         found = told(ended, way.name)
         converged, theta = found["converged"], np.array(found["parameters"])
     else:
         words = [word for text in way.settings for word in ("--set", text)]
         home = problem.folder.parent / "home"  # of the server that is kept up
         words = ["update", *campaign(problem, folder), *words]
-        ended = modetune(words, folder, home, server, profile)
+        ended = modetune(words, folder, home, server, profile, problem.solver)
         found = told(ended, way.name)
         converged = found["status"] == "converged"
         theta = np.array([item["updated"] for item in found["parameters"]])
@@ -194,7 +203,12 @@ def campaign(problem: Problem, folder: Path) -> list[str]:
 
 
 def modetune(
-    words: Sequence[str], folder: Path, home: Path, server: ServerUse, profile: bool = False
+    words: Sequence[str],
+    folder: Path,
+    home: Path,
+    server: ServerUse,
+    profile: bool = False,
+    solver: str = "calculix",
 ) -> Ended:
     """Run a command of modetune in a folder.
 
@@ -204,7 +218,7 @@ def modetune(
     without = ["--no-prefect"] if server == "none" and words[0] != "demo" else []
     environment = {**importing(), HOME_VARIABLE: str(home)}
     try:
-        return run_counted([*program, *words, "--json", *without], folder, environment, calculix())
+        return run_counted([*program, *words, "--json", *without], folder, environment, solver)
     finally:
         if server == "cold":
             stop_server(machine_home(home))

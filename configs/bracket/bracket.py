@@ -91,7 +91,7 @@ def _rib(shape: Any) -> int:
 
 
 def calculix_deck(model: TetrahedralMesh) -> str:
-    """The deck: a set and a material a part, and fifteen modes."""
+    """The deck: a set and a material a part, and fifteen modes; BASE_NEAR has the metal of BASE."""
     lines = ["*HEADING", "Bracket of three metals; mm, t, s", "*NODE, NSET=NALL"]
     lines += _rows([n, *place] for n, place in enumerate(model.coordinates.tolist(), start=1))
     first = 1
@@ -99,7 +99,8 @@ def calculix_deck(model: TetrahedralMesh) -> str:
         lines.append(f"*ELEMENT, TYPE=C3D10, ELSET={name}")
         lines += _rows([n, *row] for n, row in enumerate(table.tolist(), start=first))
         first += len(table)
-    for name, (modulus, ratio, density) in MATERIALS.items():
+    for name in model.parts:
+        modulus, ratio, density = MATERIALS[name.partition("_")[0]]
         lines += [f"*MATERIAL, NAME={name}", "*ELASTIC", f"{modulus}, {ratio}"]
         lines += ["*DENSITY", f"{density}", f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"]
     return "\n".join([*lines, "*STEP", "*FREQUENCY", "15", "*END STEP", ""])

@@ -312,10 +312,20 @@ CAMPAIGN = RecordFile(
 
 
 def write_record(path: Path, record: CampaignRecord) -> None:
-    """Write the record whole or not at all. Raises StorageUnavailable.
+    """Write the record whole or not at all. Raises StorageUnavailable."""
+    CAMPAIGN.write(path, _as_written(record))
 
-    What is for pictures alone is rounded to single precision, which packs: the surface, and the
-    shapes on it, of the first and of the best accepted iteration only.
+
+def is_same_run(record: CampaignRecord, written: CampaignRecord) -> bool:
+    """Return whether a record differs from one that was read in the time of its end alone."""
+    timeless = (replace(item, ended_at=np.nan) for item in (_as_written(record), written))
+    return len({bytes(CAMPAIGN.sealed(item)) for item in timeless}) == 1
+
+
+def _as_written(record: CampaignRecord) -> CampaignRecord:
+    """Return the record with what is for pictures alone in single precision, which packs.
+
+    That is the surface, and the shapes on it, of the first and best accepted iteration only.
     """
     accepted = [item.number for item in record.iterations if item.accepted]
     shown = {accepted[0], accepted[-1]} if accepted else set()
@@ -326,7 +336,7 @@ def write_record(path: Path, record: CampaignRecord) -> None:
         replace(item, field=_pictured(item) if item.number in shown else mode_set([]))
         for item in record.iterations
     )
-    CAMPAIGN.write(path, replace(record, surface=surface, iterations=iterations))
+    return replace(record, surface=surface, iterations=iterations)
 
 
 def read_record(path: Path) -> CampaignRecord:

@@ -43,6 +43,7 @@ from modetune.core.storage.files import check_writable, make_folder, storage_err
 from modetune.core.storage.locks import FileLock
 from modetune.core.storage.sealed_file import content, holds, read_head, sealed
 from modetune.core.updating.job_results import ModalResult, ModesForecast, Result
+from modetune.core.updating.minima import SearchEnds
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange
 from modetune.core.updating.sensitivity import ModeDerivatives
@@ -67,6 +68,7 @@ KINDS: dict[str, type[Result]] = {
     "modes_forecast": ModesForecast,
     "registration": Registration,
     "solved_modes": SolvedModes,
+    "search_ends": SearchEnds,
 }
 
 

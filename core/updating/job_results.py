@@ -14,6 +14,7 @@ from modetune.core.brief import brief
 from modetune.core.errors import ModesError
 from modetune.core.measurement.registration import Registration
 from modetune.core.modes import Floats, Integers, ModeSet
+from modetune.core.updating.minima import SearchEnds
 from modetune.core.updating.parameter_matrices import ParameterMatrices
 from modetune.core.updating.reduced_basis import ReducedModel, ReducedRange
 from modetune.core.updating.sensitivity import ModeDerivatives
@@ -171,6 +172,7 @@ Result = (
     | ModesForecast
     | Registration
     | SolvedModes
+    | SearchEnds
 )
 
 
@@ -203,6 +205,8 @@ def _numbers(result: Result) -> list[Floats | NDArray[np.complex128]]:
             return [result.mode_shapes, result.eigenvalues]
         case SolvedModes():
             return [result.shapes, result.eigenvalues]
+        case SearchEnds():
+            return [result.starts[: result.n_starts]]
         case ModesForecast():
             return [np.array([result.matrices_s, result.solver_s, result.run_s])]
         case Registration():

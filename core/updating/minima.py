@@ -59,6 +59,8 @@ NEGATIVE = 1e-5
 KICKS = (0.01, 0.03, 0.1, 0.2, 0.4)
 #: Logarithms of parameters that differ by less are the same.
 SAME = 1e-3
+#: Steps up to this length are predicted well by the misfit's slope and curvature.
+SHORT = 0.02
 #: Two misfits differ by rounding and by the ends of polishing alone, absolute and relative.
 EQUAL, EQUAL_SHARE = 1e-3, 1e-4
 #: Points that are tested for exchanges, and parameters up to which all pairs are.
@@ -72,6 +74,31 @@ class MisfitAt:
     value: float
     gradient: Floats
     curvature: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class SearchEnds:
+    """The ends of searches from several starts.
+
+    starts, updated: (n_ends, n_parameters), NaN where a search began at another end, or failed.
+    misfits: (n_ends,). outcomes: how each ended. labels: (n_ends,), the numbers of their minima in
+    order of misfit, -1 for none. n_starts: number of ends that belong to starts, the first ones.
+    chosen: the best end. moves: whether it differs from that of the first start.
+    """
+
+    starts: Floats
+    updated: Floats
+    misfits: Floats
+    outcomes: tuple[str, ...]
+    labels: Integers
+    n_starts: int
+    chosen: int
+    moves: bool
+
+
+NO_ENDS = SearchEnds(
+    np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0), (), np.zeros(0, dtype=np.int64), 0, 0, False
+)
 
 
 class Misfit(Protocol):
@@ -96,8 +123,14 @@ def free(misfit: Misfit, x: Floats, gradient: Floats) -> NDArray[np.bool_]:
     return ~(low | high)
 
 
-def polished(misfit: Misfit, x: Floats) -> tuple[Floats, float]:
-    """Return the minimum near a point, (n,), and the misfit there; it is never above the start."""
+def polished(
+    misfit: Misfit, x: Floats, known: tuple[Floats, float] | None = None
+) -> tuple[Floats, float]:
+    """Return the minimum near a point, (n,), and the misfit there; it is never above the start.
+
+    known: a minimum (n,) and its misfit. If a short step leads to it, and predicts its misfit, it
+    is the one.
+    """
     x = np.clip(x, misfit.lower, misfit.upper)
     here, damping = misfit.sample(x), 1e-4
     if here is None:
@@ -106,6 +139,8 @@ def polished(misfit: Misfit, x: Floats) -> tuple[Floats, float]:
         step = _damped_step(misfit, x, here, damping)
         if _decrease(here, step) <= GAIN + SHARE * here.value:
             break
+        if known is not None and _leads_to(known, x, step, here):
+            return known
         there = misfit.sample(x + step)
         if there is not None and there.value < here.value:
             x, here, damping = x + step, there, max(0.1 * damping, 1e-12)
@@ -130,6 +165,14 @@ def _damped_step(misfit: Misfit, x: Floats, here: MisfitAt, damping: float) -> F
         step = np.clip(x + step, misfit.lower, misfit.upper) - x
         chosen = chosen & ~beyond
     return step
+
+
+def _leads_to(known: tuple[Floats, float], x: Floats, step: Floats, here: MisfitAt) -> bool:
+    """Return whether a step from a point is short and leads to a known minimum."""
+    place, value = known
+    if np.abs(step).max() > SHORT or np.abs(x + step - place).max() > SAME:
+        return False
+    return value <= here.value and equal(value, here.value - _decrease(here, step))
 
 
 def _decrease(here: MisfitAt, step: Floats) -> float:

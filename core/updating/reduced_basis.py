@@ -191,36 +191,40 @@ class ReducedModel:
         return lowest(*self.at(theta), self.shift, n_modes)
 
     def derivatives(
-        self, theta: Floats, modes: Integers, shapes: Floats | None = None
+        self, theta: Floats, modes: Integers, shapes: Floats | None = None, of_shapes: bool = True
     ) -> ModeDerivatives:
         """Derivatives of modes with respect to all parameters, exact in the reduced space.
 
         theta: (n_parameters,); modes: positions of the wanted ones. shapes: (n_rows, n_wanted),
         those of which they shall be the derivatives, as another solver may have turned them the
-        other way round, or close ones by any angle; those of `modes` by default.
+        other way round, or close ones by any angle; those of `modes` by default. of_shapes: whether
+        derivatives of shapes are wanted, else they have no rows.
         Raises ModesError where the reduced model has no such modes.
         """
         inverted, vectors = self._solved(theta)
         if int(modes.max(initial=-1)) >= self.size:
             raise ModesError(f"the reduced model of {self.size} vectors has no mode {modes.max()}")
         close = _close(inverted, modes, self.shift)
-        if shapes is None:
-            shapes = self.modes(theta, int(modes.max()) + 1)[1][:, modes]
         near = np.flatnonzero(close.any(axis=1))
-        turn = np.zeros(close.shape)
-        turn[near] = _turn(inverted[near], self.rows @ vectors[:, near], close[near], shapes)
+        turn = np.where(close, 1.0, 0.0)
+        if of_shapes or (close.sum(axis=0) > 1).any():  # a mode's sign changes no eigenvalue
+            if shapes is None:
+                shapes = self.modes(theta, int(modes.max()) + 1)[1][:, modes]
+            turn[near] = _turn(inverted[near], self.rows @ vectors[:, near], close[near], shapes)
         # Vectors without mass, which have no eigenvalue, are in no mode.
         phi = (vectors[:, near] / np.sqrt(np.abs(inverted[near]))) @ turn[near]
         eigenvalues = (self.shift + 1.0 / inverted[near]) @ turn[near] ** 2
-        apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
-        dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         stiffness, mass = (
             self._changes(parts, theta, phi) for parts in (self.stiffness, self.mass)
         )
         change = stiffness - eigenvalues * mass
+        d_lam = np.sum(phi * change, axis=1)
+        if not of_shapes:
+            return ModeDerivatives(d_lam.T, np.zeros((0, modes.size, theta.size)))
+        apart = 1.0 - inverted[:, None] * (eigenvalues - self.shift)
+        dividing = np.where(close, 0.0, 1.0 / np.where(close, 1.0, apart))
         own = -0.5 * np.sum(phi * mass, axis=1)[:, None, :] * phi
         d_phi = own - vectors @ (vectors.T @ change * dividing)
-        d_lam = np.sum(phi * change, axis=1)
         return ModeDerivatives(d_lam.T, np.moveaxis(self.rows @ d_phi, 0, -1))
 
     def _changes(self, parts: Sequence[ReducedPart], theta: Floats, phi: Floats) -> Floats:

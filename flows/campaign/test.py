@@ -25,7 +25,9 @@ from modetune.flows.campaign.units import LENGTH_METRES, METRES
 from modetune.flows.responses.residuals import kept_sensors, weight_problems
 
 #: Number of nodes whose shapes identify modes where the test has no sensors.
-TRACKING_NODES = 500
+TRACKING_NODES = 200
+#: Their places follow multiples of the golden ratio, which no regular numbering of a mesh repeats.
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 def read_test(source: YamlFile, file: CampaignFile, problems: list[str]) -> Measurement | None:
@@ -296,5 +298,6 @@ def pairing_nodes(
 def tracking_nodes(node_ids: frozenset[int]) -> tuple[int, ...]:
     """Return a spread of nodes whose shapes identify modes."""
     nodes = np.array(sorted(node_ids))
-    spread = np.linspace(0, nodes.size - 1, min(TRACKING_NODES, nodes.size)).round()
-    return tuple(nodes[np.unique(spread.astype(np.int64))].tolist())
+    if nodes.size > TRACKING_NODES:
+        nodes = nodes[(nodes.size * (GOLDEN * np.arange(TRACKING_NODES) % 1.0)).astype(np.int64)]
+    return tuple(np.unique(nodes).tolist())

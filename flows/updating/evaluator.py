@@ -755,10 +755,12 @@ class Evaluator:
 
     def _begun(self, title: str, work: Work, state: CaseState) -> Callable[[], JobOutcome]:
         """Begin a job; return a function that waits for its end and calls `idle` meanwhile."""
+        engine = work.engine or state.engine
+        stored = all(engine.key(item) in engine.store for item in work.jobs)
         job = in_background("confirm", lambda: self.carry_out(title, [work], state))
 
         def wait() -> JobOutcome:
-            if not job.done():
+            if not stored and not job.done():
                 self.idle()
             ((outcome,),) = job.result()
             return outcome

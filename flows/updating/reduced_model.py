@@ -247,8 +247,10 @@ class ReducedModes(ModeFinder):
         return replace(self.around.matrices, theta=theta, around=self.around.theta)
 
     def columns(self, point: Point, analysis: ModalAnalysis, done: Sequence[Done]) -> Columns:
-        model = self.model
-        return reduced_columns(model.model if isinstance(model, ReducedRange) else model, point)
+        model = self.model.model if isinstance(self.model, ReducedRange) else self.model
+        # Searches come here some thousand times.
+        of_shapes = any(item.kind != "frequencies" for item in self.around.responses)
+        return reduced_columns(model, point, of_shapes)
 
     def _accurate(self, theta: Floats, n_modes: int) -> ModalResult | None:
         """Return the modes; None if they must be computed in full."""
@@ -287,12 +289,12 @@ class ReducedModes(ModeFinder):
         ), error
 
 
-def reduced_columns(reduced: ReducedModel, point: Point) -> Columns:
+def reduced_columns(reduced: ReducedModel, point: Point, of_shapes: bool = True) -> Columns:
     """Return the derivatives at a point, exact within a reduced model around it."""
     modal = point.modal
     paired = point.pairing.computed + modal.n_rigid
     shapes = np.real(modal.modes.mode_shapes[:, paired])
-    found = reduced.derivatives(point.theta, paired, shapes)
+    found = reduced.derivatives(point.theta, paired, shapes, of_shapes)
     return Columns(found, (REDUCED,) * point.theta.size, (point.key,))
 
 

@@ -21,6 +21,7 @@ measured frequencies and shapes, each at its deviation, even if its weight is ze
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,15 +30,18 @@ import numpy as np
 
 from modetune.core.algebra.eigen import DENSE
 from modetune.core.correlation.pairing import Pairing
-from modetune.core.errors import ModelError, ModesError, SolverError
+from modetune.core.errors import ModelError, ModesError, NotComputed, SolverError
 from modetune.core.modes import Floats, Integers
 from modetune.core.planning.latin_hypercube import latin_hypercube
 from modetune.core.storage.campaign_record import CampaignRecord
+from modetune.core.storage.keys import Json
 from modetune.core.updating.minima import (
+    NO_ENDS,
     RISE,
     SAME,
     Misfit,
     MisfitAt,
+    SearchEnds,
     beyond_saddle,
     equal,
     exchange,
@@ -69,6 +73,8 @@ from modetune.flows.updating.step import objective, objective_slopes
 
 logger = logging.getLogger(__name__)
 
+#: Increase this number when the same models give other ends.
+VERSION = 1
 #: Number of starts, including the campaign's own.
 TRIED = 12
 #: ... if there are fewer spare measured values than parameters: other minima are then common, and
@@ -213,6 +219,33 @@ class FoundMinima:
     labels: Integers
     chosen: int
     moves: bool
+
+    @classmethod
+    def of(cls, campaign: Campaign, kept: SearchEnds) -> FoundMinima:
+        """Return what `kept` keeps."""
+        lost = np.isnan(kept.updated).any(axis=1)
+        ends = tuple(
+            StartEnd(start, None if gone else updated, float(misfit), outcome=outcome)
+            for start, updated, misfit, outcome, gone in zip(
+                kept.starts, kept.updated, kept.misfits, kept.outcomes, lost, strict=True
+            )
+        )
+        return cls(campaign, ends, kept.n_starts, kept.labels, kept.chosen, kept.moves)
+
+    @property
+    def kept(self) -> SearchEnds:
+        """Return what the record and later runs need of them."""
+        none = np.full(len(self.campaign.parameters), np.nan)
+        return SearchEnds(
+            starts=np.array([end.start for end in self.ends]),
+            updated=np.array([none if end.updated is None else end.updated for end in self.ends]),
+            misfits=np.array([end.misfit for end in self.ends]),
+            outcomes=tuple(end.outcome for end in self.ends),
+            labels=self.labels,
+            n_starts=self.n_starts,
+            chosen=self.chosen,
+            moves=self.moves,
+        )
 
     @property
     def better(self) -> Floats:
@@ -400,6 +433,8 @@ class Search:
         self.campaign = replace(campaign, update=update, cases=cases)
         self.evaluator = Evaluator(self.campaign, states, like.execution)
         self.factor = factor
+        #: The campaign's own end, polished, to which most other searches lead.
+        self.own: StartEnd | None = None
 
     def misfit(self, *known: Evaluation | None) -> SurrogateMisfit:
         return SurrogateMisfit(self.campaign, self.evaluator, self.factor, *known)
@@ -425,7 +460,10 @@ class Search:
         # Without shapes modes may have been tracked to wrong pairs: pair them again as well.
         misfit = self.misfit(found, *((None,) if not self.campaign.test.has_shapes else ()))
         if not np.isfinite(found.residual.limits).any():
-            place, _ = polished(misfit, np.log(found.theta))
+            own = self.own and (self.own.place, self.own.misfit)
+            place, _ = polished(misfit, np.log(found.theta), own)
+            if self.own and own and place is own[0]:
+                return replace(self.own, start=start, outcome=outcome)
             found = misfit.evaluation(place) or found
         return StartEnd(
             start,
@@ -511,12 +549,15 @@ class OtherStarts:
         self._states: list[CaseState] = []
         self._ends: dict[bytes, StartEnd] = {}
 
-    def seek(self, record: CampaignRecord) -> None:
-        """Search on reduced models while the solver confirms the end of the update."""
+    def seek(self, record: CampaignRecord, last: Evaluation) -> None:
+        """Search on reduced models while the solver confirms the end of the update.
+
+        Arguments are those of `tried`, which finds the same ends without this.
+        """
         states = [] if self.foresight is None else self.foresight.states
         if states and self._wanted:
             with one_thread():
-                self._from_starts(self._search(states, record), states, record)
+                self._ended(self._search(states, record), states, record, last)
 
     def tried(self, record: CampaignRecord, last: Evaluation) -> FoundMinima | None:
         """Return the minima after an update has ended; None if there is no search.
@@ -528,12 +569,44 @@ class OtherStarts:
         states = self._reduced_states(last)
         if not states:
             return None
+
+        def compute() -> SearchEnds:
+            found = self._found(states, record, last)
+            return NO_ENDS if found is None else found.kept
+
+        try:
+            kept = states[0].engine.derived(self._asked(states, record, last), compute, SearchEnds)
+        except NotComputed:  # a dry run keeps nothing
+            kept = compute()
+        return FoundMinima.of(self.campaign, kept) if kept.n_starts else None
+
+    def _asked(self, states: list[CaseState], record: CampaignRecord, last: Evaluation) -> Json:
+        """Return what the ends follow from: models, campaign and test, and the update's end."""
+        test, residual = self.campaign.test.modes, last.residual
+        arrays = [test.frequencies_hz, test.mode_shapes, last.theta, last.errors, residual.values]
+        arrays += [residual.weights, residual.limits, self.campaign.start]
+        numbers = hashlib.sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in arrays))
+        models = [item.finder.key for item in states if isinstance(item.finder, ReducedModes)]
+        return {
+            "ends of searches": VERSION,
+            "models": [*models, last.key],
+            "campaign": self.campaign.text,
+            "settings": list(self.campaign.settings),
+            "numbers": numbers.hexdigest(),
+            "factor": _factor(record),
+            "status": record.status,
+            "starts": self._number(record),
+        }
+
+    def _found(
+        self, states: list[CaseState], record: CampaignRecord, last: Evaluation
+    ) -> FoundMinima | None:
         search = self._search(states, record)
         with one_thread():
-            own = self._own(search, record, last)
-            if own is None:
+            ends = self._ended(search, states, record, last)
+            if not ends:
                 return None
-            ends = self._ended(search, states, record, own)
+            own = ends[0]
             n_starts = len(ends)
             ends = search.with_exchanges(search.without_saddles(ends))
             searches = [search] * len(ends)
@@ -566,9 +639,12 @@ class OtherStarts:
         return search.settled(self.campaign.start, found, record.status)
 
     def _ended(
-        self, search: Search, states: list[CaseState], record: CampaignRecord, own: StartEnd
+        self, search: Search, states: list[CaseState], record: CampaignRecord, last: Evaluation
     ) -> list[StartEnd]:
-        """Return the ends of all starts, the campaign's own first."""
+        """Return the ends of all starts, the campaign's own first; none without its modes."""
+        own = search.own = self._own(search, record, last)
+        if own is None:
+            return []
         ends = [own, *self._from_starts(search, states, record)]
         if len(ends) == self._number(record):
             return ends

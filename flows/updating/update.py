@@ -45,6 +45,7 @@ from modetune.core.storage.campaign_record import (
     CampaignRecord,
     IterationRecord,
     RunCounts,
+    is_same_run,
     read_record,
     write_record,
 )
@@ -309,7 +310,7 @@ class Updating:
 
         def seek() -> None:
             if self.kept[-1].agrees(campaign.tolerances):
-                others.seek(self._record("converged", ""))
+                others.seek(self._record("converged", ""), self.kept[-1])
 
         evaluator.idle, idle = seek, evaluator.idle
         end = self._loop(campaign, around=self.around)
@@ -544,19 +545,21 @@ def _update(
     logger.info("%s: %s", record.status, record.reason)
     values = campaign.parameters.values(record.updated)
     deck = campaign.write_updated(values, folder / "updated")
+    whole, page = with_first_cost(record, earlier), folder / PAGE
+    drawn = page.is_file() and earlier is not None and is_same_run(whole, earlier.record)
     with storage_errors(unfinished):
-        if campaign.report.page:  # a kill leaves no report of the run before next to this record
-            (folder / PAGE).unlink(missing_ok=True)
+        if campaign.report.page and not drawn:
+            page.unlink(missing_ok=True)  # a kill leaves no report of the run before
         unfinished.replace(folder / "campaign.h5")
-    if campaign.report.page:
+    if campaign.report.page and not drawn:
         progress.working("drawing the report")
-        page = draw_report(with_first_cost(record, earlier), folder)
+        shown = draw_report(whole, folder)
     else:
-        page = None
+        shown = page if campaign.report.page else None
     news = history.is_news(record)
-    history.add(record, page)
+    history.add(record, shown)
     first = forecaster.first if forecaster else None
-    return CampaignRun(record, folder, deck, first, page, drift=drift, news=news)
+    return CampaignRun(record, folder, deck, first, shown, drift=drift, news=news)
 
 
 def update_from_starts(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -9,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.dakota import write_study
 from benchmarks.plain import PlainModel
-from benchmarks.problem import Problem, write_problem
+from benchmarks.problem import Problem, set_up, write_problem
 from benchmarks.ways import WAYS, run_way
 
 from modetune.core.modes import mode_set
 from modetune.core.parameters import Parameter
-from tests.adapters.solved import needs_ccx
+from tests.adapters.solved import needs_ccx, needs_mystran
 
 pytest.importorskip("dakota.environment", reason="Dakota is not installed")
 pytestmark = needs_ccx
@@ -108,6 +113,45 @@ def problem(name: str, folder: Path) -> Problem:
     found = replace(empty, measured=twin.select(range(empty.n_modes)))
     write_problem(found)
     return found
+
+
+def plate_problem(name: str, folder: Path) -> Problem:
+    """A plate of five strips for MYSTRAN, whose own modes are the test."""
+    empty = set_up(name, "tiny", 1e-4, folder)
+    found = replace(empty, measured=PlainModel(empty).modes(np.array(empty.truth))[0])
+    write_problem(found)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [
+        ("fork", problem),
+        ("stairs", problem),
+        pytest.param("plate", plate_problem, marks=needs_mystran),
+    ],
+)
+def test_the_driver_of_dakota_gives_the_residual(
+    name: str, made: Callable[[str, Path], Problem], tmp_path: Path
+) -> None:
+    case = made(name, tmp_path / name)
+    solver = shutil.which("ccx" if case.solver == "calculix" else "mystran")
+    assert solver is not None
+    _, flag, study = write_study(case, tmp_path, solver)
+    assert flag == "-i"
+    driver = re.search(r"analysis_drivers '(.*)'", (tmp_path / study).read_text())
+    assert driver is not None
+    theta = case.parameter_set.initial * np.linspace(0.97, 1.05, len(case.parameters))
+    rows = [f"{value!r} {each.name}" for value, each in zip(theta.tolist(), case.parameters, strict=True)]
+    point = "\n".join([f"{len(rows)} variables", *rows, "1 functions", ""])
+    (tmp_path / "params.in").write_text(point)
+    command = [*shlex.split(driver[1]), "params.in", "results.out"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    expected = PlainModel(case).agreement(theta).residual
+    # Shapes are printed with seven digits, frequencies of an F06 too, over deviations of 0.002.
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "results.out"), expected, atol=1e-3)
+    assert not (tmp_path / "met.json").exists()
+    assert not [*tmp_path.glob("run-*")]
 
 
 @pytest.mark.parametrize("name", STRUCTURES)

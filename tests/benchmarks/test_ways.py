@@ -63,43 +63,34 @@ def spring_problem(folder: Path) -> Problem:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_published_method_finds_the_truth_and_stops_there(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)  # Dakota leaves a file where it is started
+def test_a_published_method_finds_the_truth_and_stops_there(method: str, tmp_path: Path) -> None:
     problem, calls = spring_problem(tmp_path), []
 
     def compare(theta: Floats) -> Agreement:
         calls.append(theta.copy())
         return compared(theta)
 
-    if method == "nl2sol":
-        pytest.importorskip("dakota.environment", reason="Dakota is not installed")
-    updated = METHODS[method](problem, compare)
+    updated = METHODS[method](problem, compare, compare)
     theta = np.array(updated.parameters)
     assert updated.converged
     assert compared(theta).holds(problem.target)
     # A frequency error of 1e-6 is one of some 1e-5 in these springs.
     assert theta == pytest.approx(TRUTH, abs=1e-4)
-    np.testing.assert_array_equal(calls[-1], theta)  # nothing is run after the target is met
+    assert any(np.array_equal(each, theta) for each in calls)
     if method == "gauss_newton":
+        np.testing.assert_array_equal(calls[-1], theta)  # nothing is run after the target is met
         assert len(calls) % 3 == 1  # three a Jacobian and its point, and the last point
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_published_method_gives_up_on_a_target_out_of_reach(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_a_published_method_gives_up_on_a_target_out_of_reach(method: str, tmp_path: Path) -> None:
     problem = spring_problem(tmp_path)
 
     def never(theta: Floats) -> Agreement:
         found = compared(theta)
         return Agreement(found.errors + 0.5, found.macs, found.residual)
 
-    if method == "nl2sol":
-        pytest.importorskip("dakota.environment", reason="Dakota is not installed")
-    assert not METHODS[method](problem, never).converged
+    assert not METHODS[method](problem, never, never).converged
 
 
 def test_shapes_are_compared_whatever_their_scale_sign_and_order() -> None:
@@ -140,24 +131,35 @@ def test_a_problem_comes_back_from_its_folder(tmp_path: Path) -> None:
     assert again.truth == tuple(GARTEUR_TRUTH.values())
 
 
-def test_a_commands_whole_tree_is_measured(tmp_path: Path) -> None:
+def test_a_commands_whole_tree_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MODETUNE_CCX", "true")
     # 200 MB in a child of a child; Python itself has some 10.
     inner = "import time; held = bytearray(b'x') * 200_000_000; time.sleep(0.5)"
     outer = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {inner!r}])"
-    ended = run_counted([sys.executable, "-c", outer], tmp_path, {}, program="true")
+    ended = run_counted([sys.executable, "-c", outer], tmp_path, {})
     assert ended.return_code == 0
     assert 2e8 < ended.cost.peak_bytes < 4e8
     assert ended.cost.modal_runs == ended.cost.matrix_runs == 0
 
 
-def test_runs_are_counted_by_what_their_decks_ask_for(tmp_path: Path) -> None:
+def test_runs_are_counted_by_what_their_decks_ask_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in ("MODETUNE_CCX", "MODETUNE_MYSTRAN"):
+        monkeypatch.setenv(variable, "true")
     (tmp_path / "one.inp").write_text("*STEP\n*FREQUENCY\n5\n*END STEP\n")
     (tmp_path / "two.inp").write_text("*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n5\n*END STEP\n")
     script = (
         '"$MODETUNE_CCX" -i one; "$MODETUNE_CCX" -i two; "$MODETUNE_CCX" -i one; "$MODETUNE_CCX" -v'
     )
-    ended = run_counted(["/bin/sh", "-c", script], tmp_path, {"PATH": "/usr/bin:/bin"}, "true")
+    ended = run_counted(["/bin/sh", "-c", script], tmp_path, {"PATH": "/usr/bin:/bin"})
     assert (ended.cost.modal_runs, ended.cost.matrix_runs) == (2, 1)
+    (tmp_path / "one.bdf").write_text("SOL 103\nCEND\nBEGIN BULK\nENDDATA\n")
+    (tmp_path / "two.bdf").write_text("OUTPUT4 KLL\nSOL 103\nCEND\nBEGIN BULK\nENDDATA\n")
+    script = '"$MODETUNE_MYSTRAN" one.bdf; "$MODETUNE_MYSTRAN" two.bdf'
+    command = ["/bin/sh", "-c", script]
+    ended = run_counted(command, tmp_path, {"PATH": "/usr/bin:/bin"}, "mystran")
+    assert (ended.cost.modal_runs, ended.cost.matrix_runs) == (1, 1)
 
 
 @needs_ccx
