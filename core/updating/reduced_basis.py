@@ -132,6 +132,12 @@ class ReducedPart:
         return np.asarray(np.tensordot(factors, self.values, axes=1))
 
 
+#: Up to this size all modes of a reduced model take less time than some of them.
+SOLVED_WHOLE = 100
+#: The newest solution: modes and derivatives at a point are wanted one after the other.
+_latest: tuple[ReducedModel, bytes, tuple[Floats, Floats]] | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class ReducedModel:
     """A model projected on a basis of r vectors.
@@ -188,7 +194,9 @@ class ReducedModel:
 
     def combinations(self, theta: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """As `modes`, the shapes by what they have of each vector of the basis, (r, n_modes)."""
-        return lowest(*self.at(theta), self.shift, n_modes)
+        if self.size > SOLVED_WHOLE:
+            return lowest(*self.at(theta), self.shift, n_modes)
+        return _with_mass(*self._solved(theta), self.shift, n_modes)
 
     def derivatives(
         self, theta: Floats, modes: Integers, shapes: Floats | None = None, of_shapes: bool = True
@@ -237,7 +245,11 @@ class ReducedModel:
 
     def _solved(self, theta: Floats) -> tuple[Floats, Floats]:
         """mu (r,), descending, and vectors (r, r) with x^T (K - s M) x = 1."""
-        return _inverted(*self.at(theta), self.shift, self.size)
+        global _latest
+        at, latest = theta.tobytes(), _latest
+        if latest is None or latest[0] is not self or latest[1] != at:
+            latest = _latest = self, at, _inverted(*self.at(theta), self.shift, self.size)
+        return latest[2]
 
 
 def lowest(stiffness: Floats, mass: Floats, shift: float, n_modes: int) -> tuple[Floats, Floats]:
@@ -246,9 +258,16 @@ def lowest(stiffness: Floats, mass: Floats, shift: float, n_modes: int) -> tuple
     shift: (rad/s)^2, below all eigenvalues. Returns eigenvalues (n_modes,) ascending and
     mass-normalised shapes (r, n_modes). Raises ModesError where there are no such modes.
     """
-    size = mass.shape[0]
-    inverted, vectors = _inverted(stiffness, mass, shift, min(n_modes, size))
+    count = min(n_modes, mass.shape[0])
+    return _with_mass(*_inverted(stiffness, mass, shift, count), shift, n_modes)
+
+
+def _with_mass(
+    inverted: Floats, vectors: Floats, shift: float, n_modes: int
+) -> tuple[Floats, Floats]:
+    """The lowest modes of those that `_inverted` found, as `lowest` returns them."""
     with_mass = int(np.sum(inverted > LEAST_MASS * inverted[0]))
+    inverted, vectors = inverted[:n_modes], vectors[:, :n_modes]
     if n_modes > with_mass:
         raise ModesError(
             f"{n_modes} modes were asked of a reduced model that has {with_mass}; "

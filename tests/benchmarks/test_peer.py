@@ -142,7 +142,10 @@ def test_the_driver_of_dakota_gives_the_residual(
     driver = re.search(r"analysis_drivers '(.*)'", (tmp_path / study).read_text())
     assert driver is not None
     theta = case.parameter_set.initial * np.linspace(0.97, 1.05, len(case.parameters))
-    rows = [f"{value!r} {each.name}" for value, each in zip(theta.tolist(), case.parameters, strict=True)]
+    rows = [
+        f"{value!r} {each.name}"
+        for value, each in zip(theta.tolist(), case.parameters, strict=True)
+    ]
     point = "\n".join([f"{len(rows)} variables", *rows, "1 functions", ""])
     (tmp_path / "params.in").write_text(point)
     command = [*shlex.split(driver[1]), "params.in", "results.out"]

@@ -67,6 +67,7 @@ def digest(kind: Any) -> str:
         (store.KINDS["modes_forecast"], store.FORMAT, (4, "ab1c5574bce3")),
         (store.KINDS["registration"], store.FORMAT, (4, "fc6b6dd27463")),
         (store.KINDS["solved_modes"], store.FORMAT, (4, "7cb524389032")),
+        (store.KINDS["search_ends"], store.FORMAT, (4, "4fd03a8bbbe8")),
     ],
     ids=lambda item: getattr(item, "__name__", None),
 )

@@ -78,6 +78,19 @@ def test_polishing_ends_at_the_minimum_within_the_bounds() -> None:
     place, value = polished(narrow, np.array([0.4, 2.0]))
     # Polishing ends below 1e-5 of the misfit, 56.25, whose root is 0.024.
     np.testing.assert_allclose(place, [0.5, 0.0], atol=0.03)
+
+
+def test_polishing_ends_at_a_known_minimum_to_which_a_short_step_leads() -> None:
+    known = polished(wells(), np.array([0.4, 2.0]))
+    misfit = wells()
+    assert polished(misfit, np.array([1.01, 0.01]), known) is known
+    assert misfit.count == 1  # the point itself
+    far = wells()
+    assert polished(far, np.array([1.5, 0.01]), known) is known
+    assert far.count > 2  # steps that are too long first
+    place, value = polished(wells(), np.array([-1.01, 0.01]), known)
+    np.testing.assert_allclose(place, [-1.0, 0.0], atol=1e-4)
+    assert value < 1e-6
     assert value == pytest.approx(100.0 * 0.75**2, rel=2e-5)
 
 

@@ -201,6 +201,10 @@ def test_derivatives_away_from_the_basis_are_the_slopes_of_its_own_modes(
     theta, used = np.array(away(affine, 0.07)), full.used
     own = model.modes(theta, used[-1] + 1)[1][:, used]
     found = model.derivatives(theta, used)
+    bare = model.derivatives(theta, used, of_shapes=False)
+    # The sign of a mode is no matter, the rotation of close ones is.
+    np.testing.assert_allclose(bare.eigenvalues, found.eigenvalues, rtol=1e-12)
+    assert bare.mode_shapes.shape == (0, used.size, theta.size)
     for column in range(theta.size):
         move = step * np.eye(theta.size)[column]
         (upper, high), (lower, low) = (

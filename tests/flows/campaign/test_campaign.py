@@ -11,6 +11,7 @@ from modetune.adapters.test_files.modes_csv import write_modes_csv
 from modetune.core.errors import CampaignError
 from modetune.core.modes import mode_set
 from modetune.flows.campaign.campaign import load_campaign
+from modetune.flows.campaign.test import tracking_nodes
 
 GOOD = """\
 name: small
@@ -209,6 +210,15 @@ def test_what_is_no_campaign_is_told(folder: Path, content: bytes) -> None:
 def test_decks_are_given_not_made(folder: Path) -> None:
     said = problems(folder, GOOD.replace("deck: bar.inp", "generator: {case: garteur}"))
     assert "unknown key `generator`" in said
+
+
+@pytest.mark.parametrize("n", [7, 200, 8_000, 8_181, 108_000])
+def test_tracking_nodes_lie_on_no_line_of_a_regular_mesh(n: int) -> None:
+    found = np.array(tracking_nodes(frozenset(range(1, n + 1))))
+    assert found.size == min(n, 200)
+    # Whatever the number of nodes in a row, all tenths of a row have some.
+    for row in (20, 40, 54, 81, 100) if n > 200 else ():
+        assert np.unique((found - 1) % row * 10 // row).size == 10
 
 
 def test_tracking_nodes_are_spread_where_the_test_has_no_sensors(folder: Path) -> None:

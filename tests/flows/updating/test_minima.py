@@ -39,6 +39,7 @@ class Bench:
     """Updates structures from exact frequencies, and shapes where the family compares them."""
 
     folder: Path
+    page: bool = False
 
     def run(self, structure: Structure, truth: dict[str, float], **update: Any) -> CampaignRun:
         assert isinstance(structure.deck, dict)
@@ -58,7 +59,7 @@ class Bench:
                 "parameters": parameters,
                 **({"residuals": residuals} if structure.with_shapes else {}),
                 "update": update,
-                "report": {"page": False},
+                "report": {"page": self.page},
                 "run": {"parallel": 1},
                 "store": str(self.folder / "store"),
             },
@@ -137,6 +138,34 @@ def test_a_symmetric_start_leaves_its_ridge_and_the_mirrored_answer_is_listed(
     np.testing.assert_allclose(found, sorted([truth, truth[::-1]], key=lambda t: t[0]), rtol=EXACT)
     assert run.record.status == "converged"
     assert trust.verdict == "not to be trusted"
+
+
+@pytest.mark.parametrize(
+    ("family", "update"), [(sectors, {}), (mirrored_beam, {}), (far_frame, {"max_iterations": 2})]
+)
+def test_a_repeated_update_searches_nothing_and_draws_nothing(
+    bench: Bench,
+    family: Callable[[Any], Structure],
+    update: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    structure, bench.page = drawn(family, 2), True
+    assert structure.truth is not None
+    first = bench.run(structure, structure.truth, **update)
+    assert first.page is not None
+    drawn_at = first.page.stat().st_mtime_ns
+    monkeypatch.delattr(starts_module.Search, "end")
+    again = bench.run(structure, structure.truth, **update)
+    assert again.page == first.page
+    assert again.page.stat().st_mtime_ns == drawn_at
+    one, other = trust_of(first)[1], trust_of(again)[1]
+    for name in ("starts", "updated", "misfits", "minima", "extent"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert (one.outcomes, one.rivals, one.chosen) == (other.outcomes, other.rivals, other.chosen)
+    # Another test is another search.
+    other_truth = {name: 1.02 * value for name, value in structure.truth.items()}
+    with pytest.raises(AttributeError, match="end"):
+        bench.run(structure, other_truth, **update)
 
 
 def test_a_truth_and_its_mirror_image_have_one_verdict_and_list_each_other(bench: Bench) -> None:
