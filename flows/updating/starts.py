@@ -460,9 +460,9 @@ class Search:
         # Without shapes modes may have been tracked to wrong pairs: pair them again as well.
         misfit = self.misfit(found, *((None,) if not self.campaign.test.has_shapes else ()))
         if not np.isfinite(found.residual.limits).any():
-            own = self.own and (self.own.place, self.own.misfit)
-            place, _ = polished(misfit, np.log(found.theta), own)
-            if self.own and own and place is own[0]:
+            known = None if self.own is None else (self.own.place, self.own.misfit)
+            place, _ = polished(misfit, np.log(found.theta), known)
+            if self.own is not None and known is not None and place is known[0]:
                 return replace(self.own, start=start, outcome=outcome)
             found = misfit.evaluation(place) or found
         return StartEnd(

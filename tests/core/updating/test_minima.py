@@ -78,6 +78,7 @@ def test_polishing_ends_at_the_minimum_within_the_bounds() -> None:
     place, value = polished(narrow, np.array([0.4, 2.0]))
     # Polishing ends below 1e-5 of the misfit, 56.25, whose root is 0.024.
     np.testing.assert_allclose(place, [0.5, 0.0], atol=0.03)
+    assert value == pytest.approx(100.0 * 0.75**2, rel=2e-5)
 
 
 def test_polishing_ends_at_a_known_minimum_to_which_a_short_step_leads() -> None:
@@ -91,7 +92,6 @@ def test_polishing_ends_at_a_known_minimum_to_which_a_short_step_leads() -> None
     place, value = polished(wells(), np.array([-1.01, 0.01]), known)
     np.testing.assert_allclose(place, [-1.0, 0.0], atol=1e-4)
     assert value < 1e-6
-    assert value == pytest.approx(100.0 * 0.75**2, rel=2e-5)
 
 
 def test_polishing_where_nothing_is_determined_stays() -> None:

@@ -30,7 +30,8 @@ from modetune.flows.report.campaign_charts import campaign_charts
 from modetune.flows.report.field_tables import SHOWN, brief_record, fields_json
 from modetune.flows.report.form_verdict import record_verdict
 from modetune.flows.report.page import page
-from modetune.flows.studies.paraview import SeriesSource, write_field_file
+from modetune.flows.studies.paraview import write_field_file
+from modetune.flows.studies.run_source import RunSource
 from modetune.flows.updating.evaluator import evaluator_of
 from modetune.flows.updating.update import update_campaign
 from tests.adapters.ccx_decks import plate
@@ -133,7 +134,7 @@ def test_the_weak_brick_of_a_cantilever_is_found_by_two_matrix_jobs(tmp_path: Pa
     (told,) = fields_json(record)
     zones = json.loads(json.dumps(told))["zones"]
     assert zones[weak - 1]["elements"] == [weak]
-    out = write_field_file(SeriesSource(campaign, record, tmp_path), tmp_path / "paraview")
+    out = write_field_file(RunSource(campaign, record, tmp_path), tmp_path / "paraview")
     assert out is not None
     pyvista = pytest.importorskip("pyvista")
     grid = pyvista.read(out)
