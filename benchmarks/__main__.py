@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
     calculix()
     with tempfile.TemporaryDirectory(prefix="modetune-bench-") as name:
         bench = Bench(Path(name), chosen.server, chosen.quick, chosen.large, chosen.profile)
-        with prefect_server(chosen.server, bench.folder / "home"):
+        with prefect_server(chosen.server, bench.folder / "home") as bench.within:
             rows = [row for row in ROWS if row.name in chosen.rows]
             rounds = [Round(bench, number) for number in range(1, chosen.rounds + 1)]
             found = measure(rows, rounds)

@@ -113,23 +113,27 @@ def prepare(case: str, size: str, target: float, folder: Path) -> Problem:
 
 
 @contextmanager
-def prefect_server(use: ServerUse, home: Path) -> Iterator[None]:
-    """Keep a server running during the context, if campaigns should find one."""
+def prefect_server(use: ServerUse, home: Path) -> Iterator[Mapping[str, str]]:
+    """Keep a server running during the context, if campaigns should find one.
+
+    Yields the environment in which Prefect itself uses it.
+    """
     if use != "running":
-        yield
+        yield {}
         return
     before = dict(os.environ)
     os.environ[HOME_VARIABLE] = str(home)
     os.environ[IDLE_VARIABLE] = "10"  # it does not outlive a benchmark that is killed
     try:
         server = use_server()
+        within = importing()
     finally:  # campaigns shall find the server by its home, as those of users do
         os.environ.clear()
         os.environ.update(before)
     try:
         if server.wait() != "ready":
             sys.exit(f"Prefect's server does not answer; its log is in {home}")
-        yield
+        yield within
     finally:
         server.close()
         stop_server(machine_home(home))
