@@ -47,6 +47,9 @@ HEADING = re.compile(r"(?:\b[A-Z] ){4}")
 MESSAGE = re.compile(r"[0 ]?\s{0,4}(?:\*{3}|\^{3}) ")
 NUMBER = r"[-+]?\d+\.\d*(?:[EDed]?[-+]\d+)?\*?"
 NUMBERS = re.compile(NUMBER)
+#: A blank line, or a row of numbers with the letters of exponents and of kinds of points: neither a
+#: heading nor a message.
+ROW = re.compile(r"(?: [ \d.+\-DEGS]*)?\r?\n")
 
 
 def number(text: str) -> float:
@@ -66,7 +69,7 @@ class EigenvalueTable:
     """
 
     def __init__(self) -> None:
-        self._open = False
+        self.open = False
         self._augmented = False
         self._of_component = False
         self._rows: list[list[float]] = []
@@ -75,15 +78,15 @@ class EigenvalueTable:
 
     def take(self, line: str) -> None:
         if line.startswith("1"):
-            self._open = False
+            self.open = False
         elif HEADING.search(line):
-            self._open = "R E A L   E I G E N V A L U E S" in line
+            self.open = "R E A L   E I G E N V A L U E S" in line
             self._augmented = False
-        elif self._open and "AUGMENTATION OF RESIDUAL VECTORS" in line:
+        elif self.open and "AUGMENTATION OF RESIDUAL VECTORS" in line:
             self._augmented = True
         elif MESSAGE.match(line):
-            self._open = False  # what messages list may look like rows
-        elif self._open and re.match(r"\s+\d+\s+\d+\s", line):
+            self.open = False  # what messages list may look like rows
+        elif self.open and re.match(r"\s+\d+\s+\d+\s", line):
             self._row(line)
 
     def _row(self, line: str) -> None:
@@ -128,7 +131,7 @@ class EigenvectorTables:
     """REAL EIGENVECTOR NO. n, page by page, and MYSTRAN's EIGENVECTOR tables."""
 
     def __init__(self) -> None:
-        self._open = False
+        self.open = False
         self._mystran = False
         self._eigenvalue = np.nan
         self._mode = 0
@@ -137,16 +140,16 @@ class EigenvectorTables:
         self._pages: dict[int, _Points] = {}
 
     def take(self, line: str) -> None:
-        if self._open and (line.startswith(" ") and line[:24].strip()[:1].isdigit()):
+        if self.open and (line.startswith(" ") and line[:24].strip()[:1].isdigit()):
             self._row(line)
         elif line.startswith("1"):
-            self._open = False
+            self.open = False
         elif found := re.search(r"R E A L   E I G E N V E C T O R   N O \.\s+(\d+)", line):
             self._start(int(found.group(1)), mystran=False)
         elif found := re.match(r"\s*OUTPUT FOR EIGENVECTOR\s+(\d+)", line):
-            self._mode, self._open = int(found.group(1)), False
+            self._mode, self.open = int(found.group(1)), False
         elif HEADING.search(line):
-            self._open = False
+            self.open = False
             if line.strip() == "E I G E N V E C T O R" and self._mode:
                 self._start(self._mode, mystran=True)
         elif found := re.match(rf".?\s*EIGENVALUE =\s*({NUMBER})\s*$", line):
@@ -158,8 +161,8 @@ class EigenvectorTables:
         self._mode, self._mystran = mode, mystran
         if self._first_subcase is None:
             self._first_subcase = self._subcase
-        self._open = self._subcase == self._first_subcase
-        if self._open:
+        self.open = self._subcase == self._first_subcase
+        if self.open:
             self._pages.setdefault(mode, _Points(self._eigenvalue))
 
     def _row(self, line: str) -> None:
@@ -219,7 +222,7 @@ class EnergyTables:
     """ELEMENT STRAIN ENERGIES: one table an element type and mode."""
 
     def __init__(self) -> None:
-        self._open = False
+        self.open = False
         self._type, self._total, self._mode = "", np.nan, 0
         self._subcase = 0
         self._first_subcase: int | None = None
@@ -228,14 +231,14 @@ class EnergyTables:
 
     def take(self, line: str) -> None:
         if line.startswith("1"):
-            self._open, self._mode = False, 0
+            self.open, self._mode = False, 0
         elif line.startswith("0") and (found := re.search(r"\bSUBCASE (\d+)\s*$", line)):
             self._subcase = int(found.group(1))
         elif HEADING.search(line):
-            self._open = "E L E M E N T   S T R A I N   E N E R G I E S" in line
-            if self._open and self._first_subcase is None:
+            self.open = "E L E M E N T   S T R A I N   E N E R G I E S" in line
+            if self.open and self._first_subcase is None:
                 self._first_subcase = self._subcase
-        elif self._open and self._subcase == self._first_subcase:
+        elif self.open and self._subcase == self._first_subcase:
             self._line(line)
 
     def _line(self, line: str) -> None:
@@ -279,10 +282,15 @@ class WeightTable:
         self.mass = np.nan
         self._left = 0  # lines that may still be the table's
 
+    @property
+    def open(self) -> bool:
+        """Whether the next line may be the table's."""
+        return self._left > 0 and not np.isfinite(self.mass)
+
     def take(self, line: str) -> None:
         if "O U T P U T   F R O M" in line and "W E I G H T   G E N E R A T O R" in line:
             self._left = WEIGHT_LINES
-        if not self._left or np.isfinite(self.mass):
+        if not self.open:
             return
         self._left -= 1
         words = line.replace("*", " ").split()
@@ -311,13 +319,13 @@ class F06:
     modes: NastranModes
 
 
-def read_f06(path: Path) -> F06:
+def read_f06(path: Path, tables: bool = True) -> F06:
     """Read a print file, whether the run was good or not.
 
-    Raises SolverCrashed where it cannot be opened, or where a run that reached its end printed
-    tables that do not fit together.
+    tables: whether it may have any, or is a file of messages. Raises SolverCrashed where it cannot
+    be opened, or where a run that reached its end printed tables that do not fit together.
     """
-    scan = _Scan()
+    scan = _Scan(tables)
     try:
         # Titles may be in any encoding; what is read is ASCII.
         with (
@@ -338,8 +346,9 @@ def read_f06(path: Path) -> F06:
 class _Scan:
     """One pass over the lines of a print file."""
 
-    def __init__(self) -> None:
+    def __init__(self, tables: bool) -> None:
         self.ended = False
+        self._tables = tables
         self._version = ""
         self._messages: list[FatalMessage] = []
         self._open_message: list[str] = []
@@ -349,24 +358,32 @@ class _Scan:
         self._weight = WeightTable()
 
     def read(self, lines: Iterable[str]) -> None:
-        tables = (self._eigenvalues, self._eigenvectors, self._energies, self._weight)
+        every = (self._eigenvalues, self._eigenvectors, self._energies, self._weight)
+        tables = every if self._tables else ()
         for number, line in enumerate(lines):
             if not line.endswith("\n"):
                 line = "" if not END.search(line) else line  # cut within the line
             if len(line) > LONGEST_LINE:
                 line = "\n"  # no line of a print file
+            if ROW.fullmatch(line):  # most lines, and most of them in no table that is read
+                if self._open_message:
+                    self._message(line)
+                for table in tables:
+                    if table.open:
+                        table.take(line)
+                continue
             if number < BANNER_LINES and not self._version:
                 found = VERSION.search(line)
                 self._version = found.group() if found else ""
             self._message(line)
-            if END.search(line):
+            if "END" in line and END.search(line):
                 self.ended = True
             for table in tables:
                 table.take(line)
         self._close_message()
 
     def _message(self, line: str) -> None:
-        if FATAL.match(line):
+        if ("FATAL" in line or "*ERROR" in line) and FATAL.match(line):
             self._close_message()
             self._open_message = [line]
         elif self._open_message:

@@ -132,9 +132,11 @@ class NastranProgram:
         Raises LicenceDenied, SolverRejected, SolverExhausted or SolverCrashed.
         """
         title = self.dialect.title
-        printed = _read_if_there(folder / self.dialect.print_file)
+        printed = _read_if_there(folder / self.dialect.print_file, tables=True)
         # What MYSTRAN finds wrong it says in its error file too, and sometimes only there.
-        errors = [_read_if_there(folder / name) for name in self.dialect.logs if "ERR" in name]
+        errors = [
+            _read_if_there(folder / name, False) for name in self.dialect.logs if "ERR" in name
+        ]
         fatal = [m for file in (printed, *errors) if file for m in file.fatal_messages]
         if printed and printed.ended and not fatal:
             return printed
@@ -187,8 +189,8 @@ def _place(fatal: Iterable[FatalMessage], edited: EditedNastran) -> str:
     return str(deck.file)
 
 
-def _read_if_there(path: Path) -> F06 | None:
-    return read_f06(path) if path.exists() else None
+def _read_if_there(path: Path, tables: bool) -> F06 | None:
+    return read_f06(path, tables) if path.exists() else None
 
 
 def _squeezed(text: str) -> str:
