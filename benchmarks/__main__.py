@@ -5,7 +5,8 @@
 Each row is a ratio or a time, with the values it is computed from (rows.py). If a row fails, the
 error is printed and the others continue. --large uses the launcher with a million degrees of
 freedom and the aircraft with 1.5 million equations. --quick uses the smallest models and a target
-that is soon met, unless a row has its own: it shows that everything runs, but not the speed.
+that is soon met, unless a row has its own: it shows that everything runs, but not the speed. The
+figures of an interrupted benchmark are in runs/nightly/bench.jsonl, and are not measured again.
 --profile adds the time spent in each part of modetune's campaigns. The last line of the output is
 one JSON object. Exit code 1: a row has failed.
 """
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import get_args
 
 from benchmarks.cost import calculix
+from benchmarks.journal import FOLDER, Journal
 from benchmarks.plain import cores
 from benchmarks.rows import ROWS, Bench, Round
 from benchmarks.table import markdown, measure, time_table, told
@@ -55,7 +57,11 @@ def main(arguments: list[str] | None = None) -> None:
         with prefect_server(chosen.server, bench.folder / "home") as bench.within:
             rows = [row for row in ROWS if row.name in chosen.rows]
             rounds = [Round(bench, number) for number in range(1, chosen.rounds + 1)]
-            found = measure(rows, rounds)
+            plan = {**vars(chosen), "rows": [row.name for row in rows]}
+            journal = Journal(FOLDER / "bench.jsonl", plan)
+            found = measure(rows, rounds, journal)
+            journal.end()
+            journal.close()
     sys.stdout.write(f"{markdown(found)}\n")
     if bench.seconds:
         sys.stdout.write(f"\n{time_table(bench.seconds)}\n")

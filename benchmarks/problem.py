@@ -193,7 +193,7 @@ def garteur(size: str) -> Model:
 
 
 #: Grid points of the plate for MYSTRAN, of five strips (large_deck.py).
-PLATES = {"tiny": 300, "medium": 6_000}
+PLATES = {"tiny": 300, "medium": 6_000, "large": 100_000}
 PLATE_TRUTH = {"1": 1.20, "2": 0.85, "3": 1.10, "4": 0.80, "5": 1.25}
 
 

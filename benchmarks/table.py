@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Generic, TypeVar
 
+from benchmarks.journal import Journal
 from benchmarks.time_spent import ORDER
 
 from modetune.core.errors import ModetuneError
@@ -85,19 +86,29 @@ class Measured(Generic[R]):
         return self.value >= self.row.aim if self.row.at_least else self.value <= self.row.aim
 
 
-def measure(rows: Sequence[Row[R]], rounds: Sequence[R]) -> list[Measured[R]]:
-    """Measure all rows in every round; a row that fails is printed and left out of later rounds."""
+def measure(
+    rows: Sequence[Row[R]], rounds: Sequence[R], journal: Journal | None = None
+) -> list[Measured[R]]:
+    """Measure all rows in every round; a row that fails is printed and left out of later rounds.
+
+    journal: has the figures of an interrupted benchmark, which are not measured again.
+    """
     found = [Measured(row) for row in rows]
     for number, each in enumerate(rounds, start=1):
         for item in (item for item in found if not item.error):
-            started = time.monotonic()
+            started, piece = time.monotonic(), f"round {number}, {item.row.name}"
+            if journal is not None and piece in journal.results:
+                item.figures.append(Figure(**journal.results[piece]))
+                continue
             try:
                 item.figures.append(item.row.measure(each))
+                if journal is not None:
+                    journal.add(piece, asdict(item.figures[-1]))
                 said = item.row.told(item.figures[-1].value)
             except (ModetuneError, SystemExit, OSError, ValueError, AssertionError) as error:
                 item.error = said = str(error).strip() or type(error).__name__
             wall_s = time.monotonic() - started
-            sys.stderr.write(f"round {number}, {item.row.name}: {said} (took {wall_s:.0f} s)\n")
+            sys.stderr.write(f"{piece}: {said} (took {wall_s:.0f} s)\n")
             sys.stderr.flush()
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from collections.abc import Callable
 
 import pytest
@@ -80,7 +81,10 @@ def test_an_unknown_row_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @needs_ccx
-def test_a_row_is_measured_on_the_smallest_models(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_row_is_measured_on_the_smallest_models(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where its journal is
     arguments = ["--quick", "--rows", "whole-fine", "--rounds", "1", "--server", "none"]
     main([*arguments, "--profile"])
     output = capfd.readouterr().out.splitlines()
