@@ -41,7 +41,9 @@ ENTRY = np.dtype(
 #: The heading of the table, and a row: a grid point (blank for its other components), a component,
 #: the same by internal numbers, and the place in 14 sets.
 HEADING = "DEGREE OF FREEDOM TABLE SORTED ON GRID POINT (TDOF)"
-ROW = re.compile(r" *(\d*)-(\d) +\d*-\d((?: +\d+){14})\s*")
+ROW = re.compile(r" *\d*-\d +\d*-\d ")
+#: Numbers of a row: both grid points and components, and the places.
+IN_ROW = 18
 #: Columns of the table: node, component, and the sets that count.
 NODE, COMPONENT, IN_M, IN_N, IN_O, IN_R, IN_L = 0, 1, 3, 4, 12, 14, 15
 
@@ -87,19 +89,25 @@ def read_restart(folder: Path, print_file: str, grids: Collection[int]) -> Matri
 
 def _last_table(lines: Iterable[str]) -> Integers:
     """The last table of degrees of freedom, (n_dof, 16). Raises ValueError where there is none."""
-    rows: list[list[int]] = []
-    node, inside = 0, False
+    rows, inside = list[str](), False
     for line in lines:
-        if HEADING in line:
-            rows, inside = [], True
-        elif inside and (found := ROW.fullmatch(line)):
-            node = int(found[1] or node)
-            rows.append([node, int(found[2]), *map(int, found[3].split())])
+        if inside and ROW.match(line):
+            rows.append(line)
+        elif HEADING in line:
+            rows, inside = [], True  # the table before it no longer holds
         elif inside and line.startswith("TOTAL NUMBER OF DOF"):
             inside = False
-    if not rows or inside:
+    # Components other than a grid point's first have no number of it.
+    text = " ".join(
+        row.replace("-", " 0 " if row.lstrip().startswith("-") else " ") for row in rows
+    )
+    whole = not re.search(r"[^\d\s]", text)
+    numbers: Integers = np.fromstring(text if whole else "", dtype=np.int64, sep=" ")
+    if not rows or inside or numbers.size != IN_ROW * len(rows):
         raise ValueError("the table of its degrees of freedom is missing or not whole")
-    return np.array(rows, dtype=np.int64)
+    table = numbers.reshape(-1, IN_ROW)
+    begun = np.maximum.accumulate(np.where(table[:, 0] > 0, np.arange(len(rows)), 0))
+    return np.column_stack([table[begun, 0], table[:, 1], table[:, 4:]])
 
 
 def _members(table: Integers, column: int) -> Integers:
