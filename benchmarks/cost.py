@@ -37,7 +37,7 @@ case "$1" in
 esac
 if [ -f "$deck" ]; then
     kind=modal
-    if {{ head -n 100 "$deck"; tail -n 200 "$deck"; }} | grep -qi -e MATRIXSTORAGE -e OUTPUT4; then
+    if {{ head -n 100 "$deck"; tail -n 200 "$deck"; }} | grep -qi -e MATRIXSTORAGE -e CHKPNT; then
         kind=matrices
     fi
     echo $kind >> {log}

@@ -155,7 +155,7 @@ def test_runs_are_counted_by_what_their_decks_ask_for(
     ended = run_counted(["/bin/sh", "-c", script], tmp_path, {"PATH": "/usr/bin:/bin"})
     assert (ended.cost.modal_runs, ended.cost.matrix_runs) == (2, 1)
     (tmp_path / "one.bdf").write_text("SOL 103\nCEND\nBEGIN BULK\nENDDATA\n")
-    (tmp_path / "two.bdf").write_text("OUTPUT4 KLL\nSOL 103\nCEND\nBEGIN BULK\nENDDATA\n")
+    (tmp_path / "two.bdf").write_text("CHKPNT\nSOL 103\nCEND\nBEGIN BULK\nENDDATA\n")
     script = '"$MODETUNE_MYSTRAN" one.bdf; "$MODETUNE_MYSTRAN" two.bdf'
     command = ["/bin/sh", "-c", script]
     ended = run_counted(command, tmp_path, {"PATH": "/usr/bin:/bin"}, "mystran")
