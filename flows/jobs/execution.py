@@ -23,6 +23,7 @@ from threading import Lock
 from typing import TypeVar
 
 from modetune.core.errors import ModetuneError, SolverCancelled, SolverError, StorageUnavailable
+from modetune.core.storage.campaign_record import RunCounts
 from modetune.flows.jobs.engine import JobEngine, JobOutcome
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.limits import CORES, Limit
@@ -52,6 +53,16 @@ class Work:
     name: str
     jobs: tuple[Job, ...]
     engine: JobEngine | None = None
+
+    def counts(self, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
+        """Return the runs of its jobs by kind."""
+        ran = sum(not outcome.reused for outcome in outcomes)
+        modal = self.name.startswith("modal")
+        return RunCounts(
+            modal=ran if modal else 0,
+            sensitivity=0 if modal else ran,
+            reused=len(outcomes) - ran,
+        )
 
 
 #: One outcome per job, or the error that ended the work.

@@ -214,7 +214,7 @@ class Evaluator:
             for mark, work, result in zip(missing, named, results, strict=True):
                 done[mark] = result
                 if not isinstance(result, ModetuneError):
-                    self._runs = self._runs.plus(outcomes_count(work.name, result))
+                    self._runs = self._runs.plus(work.counts(result))
         return [done[_identity(item)] for item in works]
 
     def carry_out(
@@ -766,15 +766,6 @@ class Evaluator:
             return outcome
 
         return wait
-
-
-def outcomes_count(name: str, outcomes: tuple[JobOutcome, ...]) -> RunCounts:
-    """Return the runs of one piece of work by kind."""
-    ran = sum(not outcome.reused for outcome in outcomes)
-    modal = name.startswith("modal")
-    return RunCounts(
-        modal=ran if modal else 0, sensitivity=0 if modal else ran, reused=len(outcomes) - ran
-    )
 
 
 def _numbered(works: Sequence[Work]) -> list[Work]:
