@@ -52,10 +52,11 @@ class ConfirmOptions(StudyOptions):
 
 @study(ConfirmOptions)
 def confirm(on: StudyContext, options: ConfirmOptions) -> StudyResult:
-    """Let the solver confirm an answer that it has not confirmed yet (`update.confirm: later`).
+    """Let the solver confirm the answer of an update.
 
-    Takes all other results from the store and replaces the run's record, report and verdict. If
-    the solver disagrees, updating goes on by its modes. Exit codes are those of `update`.
+    For updates with `update.confirm: later`. Takes all other results from the store and replaces
+    the run's record, report and verdict. If the solver disagrees, updating goes on by its modes.
+    Exit codes are those of `update`.
     """
     on.campaign.solver_version()  # a missing solver is reported before anything else starts
     return updated(on, options.fail_on)
