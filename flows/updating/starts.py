@@ -585,6 +585,7 @@ class OtherStarts:
         test, residual = self.campaign.test.modes, last.residual
         arrays = [test.frequencies_hz, test.mode_shapes, last.theta, last.errors, residual.values]
         arrays += [residual.weights, residual.limits, self.campaign.start]
+        arrays.append(np.array([_factor(record)]))  # NaN before the first step
         numbers = hashlib.sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in arrays))
         models = [item.finder.key for item in states if isinstance(item.finder, ReducedModes)]
         return {
@@ -593,7 +594,6 @@ class OtherStarts:
             "campaign": self.campaign.text,
             "settings": list(self.campaign.settings),
             "numbers": numbers.hexdigest(),
-            "factor": _factor(record),
             "status": record.status,
             "starts": self._number(record),
         }
