@@ -59,6 +59,8 @@ from modetune.core.updating.sensitivity import ModeDerivatives
 
 #: Probability that such an interval contains the test.
 INTERVAL = 0.95
+#: Modes that are predicted from all others: each takes a decomposition of the others' sensitivity.
+MOST_PREDICTED = 100
 #: A prediction beyond it would amplify what is not linear a hundred times.
 LOOSE = 0.01
 #: Kinds of response that change with the modes alone.
@@ -300,13 +302,17 @@ def _error_size(fit: LinearFit) -> float:
 
 def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
     """Return the names of the modes whose prediction from all others misses its interval, and how
-    many modes were predicted: one that alone determines a parameter is not.
+    many modes were predicted: one that alone determines a parameter is not, and at most
+    MOST_PREDICTED are.
 
     fit: without the size of the model's error, which the other modes give.
     """
     used, inverse = fit.weights > 0.0, fit.inverse
     missed, n = [], 0
-    for mode in np.unique(fit.groups[used & (fit.groups >= 0)]).tolist():
+    modes = np.unique(fit.groups[used & (fit.groups >= 0)])
+    if modes.size > MOST_PREDICTED:
+        modes = modes[np.linspace(0, modes.size - 1, MOST_PREDICTED).round().astype(np.int64)]
+    for mode in modes.tolist():
         own = used & (fit.groups == mode)
         rows, weights = fit.sensitivity[own], fit.weights[own]
         root = np.sqrt(weights)

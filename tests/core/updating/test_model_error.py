@@ -126,6 +126,14 @@ def test_a_left_out_mode_is_predicted_as_a_fit_without_it_does() -> None:
     assert found == tuple(expected)
 
 
+def test_of_very_many_modes_a_hundred_are_predicted() -> None:
+    rng = np.random.default_rng(7)
+    fit = fitted(rng.normal(size=(350, 2)), rng.normal(size=350), groups=np.arange(350))
+    missed, n = missed_modes(fit)
+    assert n == 100
+    assert len(missed) <= 12  # 5 % by chance
+
+
 def test_a_mode_that_alone_determines_a_parameter_is_not_predicted() -> None:
     sensitivity = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     assert missed_modes(fitted(sensitivity, np.array([0.1, -0.1, 0.2, 5.0])))[1] == 3
