@@ -106,6 +106,8 @@ def _last_table(lines: Iterable[str]) -> Integers:
     if not rows or inside or numbers.size != IN_ROW * len(rows):
         raise ValueError("the table of its degrees of freedom is missing or not whole")
     table = numbers.reshape(-1, IN_ROW)
+    if (table[:, 1] != table[:, 3]).any():  # a row lacks a number that another has too many
+        raise ValueError("the table of its degrees of freedom has rows of other lengths")
     begun = np.maximum.accumulate(np.where(table[:, 0] > 0, np.arange(len(rows)), 0))
     return np.column_stack([table[begun, 0], table[:, 1], table[:, 4:]])
 

@@ -45,7 +45,9 @@ class ConfirmOptions(StudyOptions):
                 f"{near(source.run_folder)} has nothing left to confirm: {record.best.solved_by} "
                 "found the modes of its answer"
             )
-        rules = campaign.update.model_copy(update={"confirm": self.by})
+        own = campaign.update.confirm  # other than the run's, if --set says so
+        by = own if self.by == "auto" and own != "later" else self.by
+        rules = campaign.update.model_copy(update={"confirm": by})
         campaign = replace(campaign, update=rules)
         return StudyContext(campaign.name, progress, campaign, folder=source.run_folder)
 

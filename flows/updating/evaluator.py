@@ -241,8 +241,8 @@ class Evaluator:
 
     def confirming(self, theta: Floats) -> list[Work]:
         """Return the solvers' own runs that confirm modes from other sources at the end."""
-        found = []
-        for state in self.used:
+        found: list[Work] = []
+        for state in self.used if self.campaign.update.confirm != "later" else ():
             if state.finder.name == state.case.solver.program.name:
                 continue
             asked: Analysis = state.analysis

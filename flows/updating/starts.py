@@ -574,6 +574,9 @@ class OtherStarts:
             found = self._found(states, record, last)
             return NO_ENDS if found is None else found.kept
 
+        responses = (item for part in last.parts for item in part.responses)
+        if any(item.kind == "own" for item in responses):  # a user's function may change
+            return self._found(states, record, last)
         try:
             kept = states[0].engine.derived(self._asked(states, record, last), compute, SearchEnds)
         except NotComputed:  # a dry run keeps nothing

@@ -131,7 +131,8 @@ def test_an_answer_is_confirmed_later_by_one_job(
             modetune.confirm(folder, by=by)
     assert read_record(folder).unconfirmed
     assert Store.put is real
-    confirmed = modetune.confirm(folder, by=by).record
+    # A setting says as much as the argument.
+    confirmed = modetune.confirm(folder, settings={"update.confirm": by}).record
     kept = read_record(folder)
     assert not kept.unconfirmed
     # The record has the cost of both; the command itself ran one job.
