@@ -213,7 +213,7 @@ def main(arguments: list[str] | None = None) -> None:
     journal = Journal(FOLDER / "growth.jsonl", plan)
     heads = "command", "size", "s", "CPU s", "solver s", "GB", "exponents"
     sys.stdout.write(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}\n")
-    results = {}
+    results: dict[str, list[dict[str, float]]] = {}
     for case in (case for case in CASES if case.what in chosen.cases):
         found = results[case.name] = []
         for size in (size for size in case.sizes if size <= chosen.most):

@@ -219,7 +219,7 @@ def bracket_of(size: str) -> Model:
     made = bracket.mesh(BRACKETS[size])
     middles = {name: made.coordinates[rows - 1].mean(axis=1) for name, rows in made.parts.items()}
     cuts = {"BASE": (0, "NEAR", "FAR"), "WALL": (2, "LOW", "HIGH"), "RIB": (2, "LOW", "HIGH")}
-    parts = {}
+    parts: dict[str, bracket.Integers] = {}
     for name, (axis, below, above) in cuts.items():
         low = middles[name][:, axis] < np.median(middles[name][:, axis])
         parts |= {f"{name}_{below}": made.parts[name][low]}

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from benchmarks.plain import PlainModel, cores
@@ -34,6 +34,9 @@ from modetune.core.modes import Floats
 #: Relative step of the finite differences.
 STEP = 0.01
 MAX_ITERATIONS = 20
+
+X = TypeVar("X")
+Y = TypeVar("Y")
 
 #: How the model at parameter values agrees with the test.
 Compare = Callable[[Floats], Agreement]
@@ -86,7 +89,7 @@ def least_squares(problem: Problem, compare: Compare, beside: Compare) -> Update
             raise TargetMet(theta.copy())
         return found.residual
 
-    def side_by_side(function: Callable[[Floats], Floats], points: Iterable[Floats]) -> Any:
+    def side_by_side(function: Callable[[X], Y], points: Iterable[X], /) -> Iterable[Y]:
         nonlocal running
         running = beside
         found = list(pool.map(function, points))
