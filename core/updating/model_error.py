@@ -315,12 +315,10 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
     for mode in modes.tolist():
         own = used & (fit.groups == mode)
         rows, weights = fit.sensitivity[own], fit.weights[own]
-        root = np.sqrt(weights)
-        loose, axes = np.linalg.eigh(
-            np.eye(weights.size) - (root[:, None] * rows) @ inverse @ (root[:, None] * rows).T
-        )
-        axes = axes[:, loose >= LOOSE]
-        degrees = axes.shape[1] - _n_scaled(fit, own)
+        root = np.sqrt(weights)[:, None]
+        axes, lengths, _ = np.linalg.svd(root * (rows @ _root(inverse)), full_matrices=False)
+        tight = axes[:, 1.0 - lengths**2 < LOOSE]
+        degrees = weights.size - tight.shape[1] - _n_scaled(fit, own)
         if degrees <= 0:
             continue
         without = fit.without(own)
@@ -335,15 +333,35 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
         ratios = known.variances / without.variances
         by_class = dict(zip(without.classes.tolist(), ratios.tolist(), strict=True))
         scale = np.array([by_class.get(name, 1.0) for name in fit.classes[own].tolist()])
-        covariance = spread @ noise @ spread.T + np.diag(scale * fit.variances[own])
-        covariance += moved @ moved.T
-        error = axes.T @ (root * (fit.left[own] - rows @ change))
-        covariance = axes.T @ (root[:, None] * covariance * root) @ axes
-        statistic = float(error @ np.linalg.solve(covariance, error))
+        deviations = np.sqrt(scale * fit.variances[own])
+        statistic = _squares(
+            (fit.left[own] - rows @ change) / deviations,
+            np.hstack([spread @ _root(noise), moved]) / deviations[:, None],
+            tight / (root * deviations[:, None]),
+        )
         n += 1
         if scipy.special.chdtrc(degrees, statistic) < 1.0 - INTERVAL:
             missed.append(fit.modes[mode])
     return tuple(missed), n
+
+
+def _root(matrix: Floats) -> Floats:
+    """Return F with F F^T equal to a positive semidefinite matrix, both (n, n)."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _squares(error: Floats, columns: Floats, excluded: Floats) -> float:
+    """Return the error's squared size by its covariance, outside the excluded directions.
+
+    error: (n,), of covariance I + L L^T with the columns L (n, m); excluded: (n, k). No matrix is
+    as large as (n, n).
+    """
+    basis = np.linalg.qr(excluded)[0]
+    error = error - basis @ (basis.T @ error)
+    columns = columns - basis @ (basis.T @ columns)
+    axes, lengths, _ = np.linalg.svd(columns, full_matrices=False)
+    return float(error @ error - np.sum((axes.T @ error) ** 2 * lengths**2 / (1.0 + lengths**2)))
 
 
 def effective_number(fit: LinearFit, rows: Integers) -> float:

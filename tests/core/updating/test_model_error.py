@@ -126,6 +126,46 @@ def test_a_left_out_mode_is_predicted_as_a_fit_without_it_does() -> None:
     assert found == tuple(expected)
 
 
+def test_predictions_with_errors_of_the_model_are_those_of_full_covariances() -> None:
+    """Against the covariance of a mode's rows in full, where only the mode knows a parameter."""
+    rng = np.random.default_rng(11)
+    groups, n_missed = np.arange(40) % 4, 0
+    for _ in range(30):
+        sensitivity, columns = rng.normal(size=(40, 4)), rng.normal(size=(40, 5))
+        sensitivity[groups > 0, 3] = 0.0  # only mode 1 knows the fourth parameter
+        values = rng.normal(size=40) + 0.3 * columns @ rng.normal(size=5)
+        values[groups == 1] *= rng.uniform(1.0, 2.5)
+        fit = fitted(sensitivity, values, groups=groups, columns=columns)
+        expected = []
+        for mode in range(4):
+            own, information = groups == mode, sensitivity.T @ sensitivity
+            share = sensitivity[own] @ np.linalg.solve(information, sensitivity[own].T)
+            loose, axes = np.linalg.eigh(np.eye(10) - share)
+            axes = axes[:, loose >= 0.01]
+            assert axes.shape[1] == (9 if mode == 0 else 10)
+            rows, others = sensitivity[own], np.linalg.pinv(sensitivity[~own])
+            left = values[~own] - sensitivity[~own] @ others @ values[~own]
+            _, size = with_model_error(replace(fit.without(own), left=left))
+            moved = size * (columns[own] - rows @ others @ columns[~own])
+            covariance = np.eye(10) + rows @ others @ others.T @ rows.T + moved @ moved.T
+            miss = axes.T @ (values[own] - rows @ others @ values[~own])
+            square = miss @ np.linalg.solve(axes.T @ covariance @ axes, miss)
+            if square > scipy.stats.chi2.ppf(0.95, axes.shape[1]):
+                expected.append(f"mode {mode + 1}")
+        assert missed_modes(fit) == (tuple(expected), 4)
+        n_missed += len(expected)
+    assert 10 < n_missed < 110
+
+
+def test_modes_of_many_sensors_are_predicted_without_a_matrix_as_large() -> None:
+    """Three modes at 100,000 sensors, of which a full covariance takes 80 GB."""
+    rng = np.random.default_rng(13)
+    rows, groups = rng.normal(size=(300_000, 5)), np.arange(300_000) % 3
+    values = np.where(groups == 1, 1.5, 1.0) * rng.normal(size=300_000)
+    columns = rng.normal(size=(300_000, 8))
+    assert missed_modes(fitted(rows, values, groups=groups, columns=columns)) == (("mode 2",), 3)
+
+
 def test_of_very_many_modes_a_hundred_are_predicted() -> None:
     rng = np.random.default_rng(7)
     fit = fitted(rng.normal(size=(350, 2)), rng.normal(size=350), groups=np.arange(350))
