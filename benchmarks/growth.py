@@ -21,6 +21,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -210,21 +211,20 @@ def main(arguments: list[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     calculix()
     plan = {"cases": sorted(chosen.cases), "most": chosen.most}
-    journal = Journal(FOLDER / "growth.jsonl", plan)
     heads = "command", "size", "s", "CPU s", "solver s", "GB", "exponents"
     sys.stdout.write(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}\n")
     results: dict[str, list[dict[str, float]]] = {}
-    for case in (case for case in CASES if case.what in chosen.cases):
-        found = results[case.name] = []
-        for size in (size for size in case.sizes if size <= chosen.most):
-            piece = f"{case.name} {size}"
-            if piece not in journal.results:
-                journal.add(piece, measure(case, size))
-            found.append(journal.results[piece])
-        sys.stdout.write("\n".join(lines(case, found)) + "\n")
-        sys.stdout.flush()
-    journal.end()
-    journal.close()
+    with closing(Journal(FOLDER / "growth.jsonl", plan)) as journal:
+        for case in (case for case in CASES if case.what in chosen.cases):
+            found = results[case.name] = []
+            for size in (size for size in case.sizes if size <= chosen.most):
+                piece = f"{case.name} {size}"
+                if piece not in journal.results:
+                    journal.add(piece, measure(case, size))
+                found.append(journal.results[piece])
+            sys.stdout.write("\n".join(lines(case, found)) + "\n")
+            sys.stdout.flush()
+        journal.end()
     sys.stdout.write(json.dumps(results) + "\n")
 
 

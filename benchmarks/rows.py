@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from shutil import copytree
+from typing import Any
 
 from benchmarks.cost import Cost, run_counted
 from benchmarks.eigen import measure as modal_solution
@@ -29,10 +31,13 @@ from benchmarks.ways import (
     told,
 )
 
+from modetune.configs.launcher import launcher
 from modetune.core.storage.campaign_record import read_record
 
 #: A case of problem.py at a size of it.
 Place = tuple[str, str]
+#: What a command printed as JSON.
+Answer = Mapping[str, Any]
 
 
 @dataclass(slots=True)
@@ -133,9 +138,12 @@ class Round:
 
     def words(self, words: Sequence[str], folder: Path) -> Cost:
         """Run a command of modetune. Raises SystemExit if it fails."""
+        return self.answer(words, folder)[0]
+
+    def answer(self, words: Sequence[str], folder: Path) -> tuple[Cost, Answer]:
+        """Run a command of modetune: what it cost and printed. Raises SystemExit if it fails."""
         ended = modetune(words, folder, self.bench.folder / "home", self.bench.server)
-        told(ended, f"modetune {words[0]}")
-        return ended.cost
+        return ended.cost, told(ended, f"modetune {words[0]}")
 
 
 def peer(case: str, size: str, each: Round) -> Figure:
@@ -266,17 +274,44 @@ def skipped(each: Round) -> Figure:
     place = each.bench.place("launcher", "medium")
     # Ten moduli against three modes: only at a small target do both end at the same ones.
     always, skips = (each.trial(place, letter, 1e-5) for letter in "cd")
-    apart = max(abs(a - b) for a, b in zip(always.parameters, skips.parameters, strict=True))
-    return Figure(
-        100.0 * (1.0 - skips.cost.wall_s / always.cost.wall_s),
-        {
-            "always s": always.cost.wall_s,
-            "its runs": always.cost.modal_runs,
-            "with e2 s": skips.cost.wall_s,
-            "modal runs": skips.cost.modal_runs,
-            "ends apart %": 100.0 * apart,
-        },
+    return saved((always.cost, always.answer), (skips.cost, skips.answer))
+
+
+def thesis_cases(each: Round) -> Figure:
+    """Return the share of wall time that Case I of the thesis's launcher saves of Case II."""
+    folder = each.folder("thesis")
+    copytree(Path(launcher.__file__).parent, folder, dirs_exist_ok=True)
+    launcher.write_decks(folder)
+    always, skips = (
+        each.answer(["update", f"{name}.yaml", "--set", f"store={name}"], folder)
+        for name in ("case_2", "case_1")
     )
+    return saved(always, skips)
+
+
+def saved(always: tuple[Cost, Answer], skips: tuple[Cost, Answer]) -> Figure:
+    """Return what skipping saves of the wall time in percent, with how far apart both end."""
+    (cost, end), (less, other) = always, skips
+    frequencies = [
+        abs(one["updated_hz"] / two["updated_hz"] - 1.0)
+        for one, two in zip(end["modes"], other["modes"], strict=True)
+    ]
+    pairs = list(zip(end["parameters"], other["parameters"], strict=True))
+    apart = [abs(one["updated"] - two["updated"]) for one, two in pairs]
+    errors = [one["standard_error"] for one, _ in pairs]
+    made_of = {
+        "always s": cost.wall_s,
+        "its runs": cost.modal_runs,
+        "with e2 s": less.wall_s,
+        "modal runs": less.modal_runs,
+        "frequencies apart %": 100.0 * max(frequencies),
+        "parameters apart %": 100.0 * max(apart),
+    }
+    if None not in errors:  # withheld
+        made_of["in standard errors"] = max(
+            gap / error for gap, error in zip(apart, errors, strict=True)
+        )
+    return Figure(100.0 * (1.0 - less.wall_s / cost.wall_s), made_of)
 
 
 MORRIS = ["--method", "morris", "--points", "500"]
@@ -339,4 +374,5 @@ ROWS: tuple[Row[Round], ...] = (
     Row("demo", "cached rerun of the demo, whole process", 2.5, False, cached_demo, "s"),
     Row("job", "Prefect's share of a job on threads", 15.0, False, job_overhead, "ms"),
     Row("e2", "wall saved by e2, launcher, 10 moduli", 40.0, True, skipped, "%"),
+    Row("cases", "wall saved by Case I of the thesis's launcher", 25.0, True, thesis_cases, "%"),
 )  # fmt: skip

@@ -90,7 +90,7 @@ class Trial:
     parameters: where it ended, relative values. largest_error, mean_error: of the frequencies
     there, by one plain run; least_mac: of the shapes there, None without. largest_distance,
     mean_distance: of the parameters to the truth. seconds: where modetune's wall went, by what was
-    done; empty unless requested.
+    done; empty unless requested. answer: what `modetune update --json` printed.
     """
 
     cost: Cost
@@ -102,6 +102,7 @@ class Trial:
     largest_distance: float
     mean_distance: float
     seconds: Mapping[str, float] = field(default_factory=dict)
+    answer: Mapping[str, Any] = field(default_factory=dict)
 
 
 def prepare(case: str, size: str, target: float, folder: Path) -> Problem:
@@ -152,6 +153,7 @@ def run_way(
     Raises SystemExit where the command fails.
     """
     folder.mkdir(parents=True)
+    found: Mapping[str, Any] = {}
     if way.method == "nl2sol":
         counter = counting(folder, problem.solver)
         command = dakota.write_study(problem, folder, str(counter))
@@ -187,6 +189,7 @@ def run_way(
         float(distance.max()),
         float(distance.mean()),
         seconds,
+        found,
     )
 
 
@@ -298,7 +301,7 @@ def main(arguments: list[str] | None = None) -> None:
                     trials[letter] = run_way(WAYS[letter], problem, model, place, chosen.server)
                 sys.stdout.write(f"{table(problem, plain, trials)}\n\n")
                 sys.stdout.flush()
-                ways = {letter: asdict(trial) for letter, trial in trials.items()}
+                ways = {each: asdict(replace(trial, answer={})) for each, trial in trials.items()}
                 results.append({"size": size, "plain": asdict(plain), "ways": ways})
     sys.stdout.write(json.dumps({"case": chosen.case, "cores": cores(), "sizes": results}) + "\n")
 
