@@ -346,6 +346,7 @@ def _evidence_of(record: CampaignRecord, test_digest: str, values: Floats) -> st
             *(f"{value:.{DIGITS - 1}e}" for value in values.tolist()),
             record.status,
             record.verdict.name,
+            *(["unconfirmed"] if record.unconfirmed else []),
         ]
     )
 

@@ -38,10 +38,9 @@ def show_dry_run(parameters: Mapping[str, Any], as_json: bool) -> None:
     if found.ended is not None:
         typer.echo(f"nothing would run; {found.ended.status}: {found.ended.reason}")
     elif not found.jobs:
-        typer.echo(
-            "modes would be computed from the stored matrices, followed by one modal job at the "
-            "final parameters"
-        )
+        later = on.campaign.update.confirm == "later"
+        last = "" if later else ", followed by one modal job at the final parameters"
+        typer.echo(f"modes would be computed from the stored matrices{last}")
     else:
         typer.echo(
             f"{_count(len(found.runs), 'job')} of {len(found.jobs)} in this iteration would run; "

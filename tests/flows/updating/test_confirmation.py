@@ -16,6 +16,7 @@ from modetune.core.algebra import pencil
 from modetune.core.algebra.eigen import ModeSolver
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import CampaignError, SolverExhausted
+from modetune.core.monitoring.past_runs import read_history
 from modetune.core.storage.campaign_record import CampaignRecord, read_record
 from modetune.core.storage.store import Entry, Store
 from modetune.core.updating.verdict import TrustVerdict
@@ -143,6 +144,10 @@ def test_an_answer_is_confirmed_later_by_one_job(
     )
     records = tmp_path / "at once" / "run0" / "campaign.h5", folder / "campaign.h5"
     assert differences(*records) == ["settings"]  # where their stores are
+    # The history keeps both, and the night is the confirmed one.
+    history = read_history(folder)
+    assert [run.verdict for run in history.runs] == [found.verdict, kept.verdict]
+    assert [run.number for run in history.nights()] == [2]
     with pytest.raises(CampaignError, match="nothing left to confirm: calculix"):
         modetune.confirm(folder)
 
