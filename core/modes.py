@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -166,7 +167,9 @@ def close_labels(frequencies_hz: Floats, width: float | Floats) -> Integers:
 def close_sets(frequencies_hz: Floats, width: float | Floats) -> list[Integers]:
     """Positions of each set of close modes, ascending, by `close_labels`."""
     labels = close_labels(frequencies_hz, width)
-    return [np.flatnonzero(labels == n) for n in range(labels.max(initial=-1) + 1)]
+    order = np.argsort(labels, kind="stable")
+    ends = np.append(np.flatnonzero(np.diff(labels[order])) + 1, order.size).tolist()
+    return [order[first:end] for first, end in pairwise([0, *ends]) if end > first]
 
 
 @dataclass(frozen=True, slots=True)
