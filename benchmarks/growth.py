@@ -3,6 +3,8 @@
     grids        a Nastran plate (large_deck.py): `check --no-run` of its campaign; and `update` of
                  the launcher on CalculiX, degrees of freedom at six a node
     parameters   springs of a chain of masses, twice as many frequencies: `check`, `update`
+    elements     of the first of a plate's five strips, each with a modulus of its own (a field), on
+                 MYSTRAN: `update`
     sensors      of the aircraft, whose shapes are compared: `check --no-run`, `update`
     points       of a screening of the aircraft: `screen --method morris`
 
@@ -30,7 +32,7 @@ from benchmarks.cost import calculix
 from benchmarks.journal import FOLDER, Journal
 from benchmarks.large_deck import STRIPS, plate
 from benchmarks.plain import PlainModel
-from benchmarks.problem import LAUNCHERS, Problem, set_up, write_problem
+from benchmarks.problem import BOUNDS, LAUNCHERS, PLATES, Problem, set_up, write_problem
 from benchmarks.ways import campaign, modetune, told
 from scipy.linalg import eigh_tridiagonal
 
@@ -48,6 +50,7 @@ class Growth:
     command: str
     sizes: tuple[int, ...]
     make: Make
+    solver: str = "calculix"
 
     @property
     def name(self) -> str:
@@ -76,8 +79,8 @@ def launcher_update(n_freedoms: int, folder: Path) -> Sequence[str]:
 
 
 def aircraft(folder: Path, n_sensors: int = 0) -> Problem:
-    """The medium aircraft with its test, at so many sensors: three a node, as far as they go."""
-    found = set_up("garteur", "medium" if n_sensors > 1000 else "coarse", 1e-3, folder / "model")
+    """The aircraft at so many sensors, three a node; the fine mesh has 85,000."""
+    found = set_up("garteur", "fine" if n_sensors > 1000 else "coarse", 1e-3, folder / "model")
     nodes = sorted(PlainModel(found).solver.deck.summary.node_ids)
     places = np.linspace(0, len(nodes) - 1, math.ceil(n_sensors / 3)).astype(int)
     return replace(found, sensors=tuple(nodes[place] for place in np.unique(places)))
@@ -93,6 +96,18 @@ def tested(problem: Problem) -> Problem:
 
 def updated(problem: Problem, folder: Path) -> Sequence[str]:
     return ["update", *campaign(tested(problem), folder)]
+
+
+def field_update(n_elements: int, folder: Path) -> Sequence[str]:
+    """The update of four strips of a plate and of a field over the elements of the fifth."""
+    size = str(n_elements)
+    PLATES[size] = STRIPS * n_elements
+    problem = tested(set_up("plate", size, 1e-3, folder / "model"))
+    whole = f"material: 1, bounds: [{BOUNDS[0]}, {BOUNDS[1]}]"
+    text = problem.campaign.read_text()
+    assert whole in text
+    problem.campaign.write_text(text.replace(whole, f"{whole}, field: {{zones: elements}}"))
+    return ["update", *campaign(problem, folder)]
 
 
 def sensors_check(n_sensors: int, folder: Path) -> Sequence[str]:
@@ -158,8 +173,9 @@ CASES = (
     Growth("freedoms", "update", (20_000, 100_000, 400_000), launcher_update),
     Growth("parameters", "check", (5, 50, 500), chain_check),
     Growth("parameters", "update", (5, 50, 500), chain_update),
-    Growth("sensors", "check", (10, 100, 1_000, 10_000), sensors_check),
-    Growth("sensors", "update", (10, 100, 1_000, 10_000), sensors_update),
+    Growth("elements", "update", (100, 500, 2_000), field_update, solver="mystran"),
+    Growth("sensors", "check", (10, 100, 1_000, 10_000, 80_000), sensors_check),
+    Growth("sensors", "update", (10, 100, 1_000, 10_000, 80_000), sensors_update),
     Growth("points", "screen", (100, 1_000, 10_000, 100_000), screening),
 )
 
@@ -169,7 +185,7 @@ def measure(case: Growth, size: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="modetune-growth-") as name:
         folder = Path(name)
         words = case.make(size, folder)
-        ended = modetune(words, folder, folder / "home", "none")
+        ended = modetune(words, folder, folder / "home", "none", solver=case.solver)
     told(ended, f"modetune {words[0]} of {size} {case.what}")
     cost = ended.cost
     return {
