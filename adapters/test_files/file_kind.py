@@ -12,17 +12,15 @@ import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from modetune.adapters.regular_file import open_regular, read_errors
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import ModeSet
 from modetune.core.near_names import listed
 from modetune.core.storage.sealed_file import title_of
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 Form = Literal[
     "universal", "table", "workbook", "hdf5", "mat", "op2", "f06", "punch", "frd", "nastran hdf5",

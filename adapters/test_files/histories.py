@@ -9,7 +9,6 @@ channel gives its node and direction, and its unit, which distinguishes forces f
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,10 +16,8 @@ from modetune.adapters.test_files.modes_csv import sensor_of
 from modetune.adapters.test_files.tables import FileTable, number, row_values
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.response_functions import Response
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 TIME = re.compile(r"(time|t|zeit)(_s|\s*[\[(]\s*s\s*[\])])?", re.IGNORECASE)
 CHANNEL = re.compile(r"(?:force\s+)?(\S+)\s*[\[(]\s*([^\])]+?)\s*[\])]", re.IGNORECASE)
@@ -112,8 +109,6 @@ def channel_unit(label: str) -> tuple[float, int] | None:
 
 def recording(channels: list[Channel]) -> TimeHistories:
     """Join channels. Raises CampaignError where times or quantities differ, or one is twice."""
-    from modetune.core.measurement.time_histories import TimeHistories  # imports scipy.signal
-
     where = channels[0][7] if channels else "a table of times"
     orders = {channel[4] for channel in channels} - {-1}
     times = channels[0][6] if channels else np.zeros(0)

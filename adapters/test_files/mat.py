@@ -26,7 +26,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -40,10 +40,8 @@ from modetune.adapters.test_files.modes_csv import sensor_of
 from modetune.core.correlation.complexity import real_shapes
 from modetune.core.errors import CampaignError, ModelError, ModesError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats, Integers, MeasuredModes, mode_set
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 FREQUENCIES = {
     **dict.fromkeys(

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,10 +33,8 @@ from modetune.adapters.test_files.tables import FileTable, read_tables
 from modetune.core.correlation.complexity import modal_phase_collinearity, real_shapes
 from modetune.core.errors import CampaignError
 from modetune.core.measurement.measurement import Measurement, TestGeometry
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats, MeasuredModes, ModeSet
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 #: The module of this folder whose FORMAT reads a form. To remove a format, delete both the module
 #: and its line.

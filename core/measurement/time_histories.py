@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredFrfs
@@ -117,7 +117,7 @@ def _functions(
     whole: Complexes | None = None
     for run in runs:
         count = (run.values.shape[0] - overlap) // (length - overlap)
-        _, part = signal.csd(
+        _, part = scipy.signal.csd(
             run.values[:, :, None],
             run.values[:, None, :],
             window=window,

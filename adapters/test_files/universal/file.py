@@ -18,7 +18,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyuff
@@ -48,12 +48,10 @@ from modetune.adapters.test_files.universal.points import geometry, with_axes
 from modetune.core.errors import CampaignError, ModesError
 from modetune.core.measurement.measurement import MeasuredFrfs, Measurement, TestGeometry
 from modetune.core.measurement.response_functions import Response
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats, MeasuredModes
 from modetune.core.near_names import listed
 from modetune.core.storage.files import writing
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 #: Converters of what pyuff returns, by dataset.
 CONVERT: dict[int, Callable[[DatasetPlace, DatasetBlock, Any], Content | None]] = {

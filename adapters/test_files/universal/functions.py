@@ -14,7 +14,6 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,10 +28,8 @@ from modetune.adapters.test_files.histories import (
 from modetune.adapters.test_files.universal.datasets import Content, Function, Units, UniversalFile
 from modetune.core.measurement.measurement import MeasuredFrfs
 from modetune.core.measurement.response_functions import Complexes, Response
+from modetune.core.measurement.time_histories import TimeHistories
 from modetune.core.modes import Floats
-
-if TYPE_CHECKING:
-    from modetune.core.measurement.time_histories import TimeHistories
 
 RESPONSE_FUNCTION, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 #: What the kinds of dataset 58 are called, for people.

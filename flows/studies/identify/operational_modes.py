@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from modetune.adapters.pole_estimators import PolesOfOrder, ssi_poles, ssi_poles_of_parts
 from modetune.adapters.test_files import measurements
@@ -157,7 +157,7 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         raise CampaignError(f"{run.where}: channel {dof_name(dof)} measured nothing")
     every = int(1.0 / (SAMPLES * high * step))
     if every > 1:
-        values, step = signal.decimate(values, every, ftype="fir", axis=0), step * every
+        values, step = scipy.signal.decimate(values, every, ftype="fir", axis=0), step * every
     criteria, order = settings.criteria, min(settings.order, MOST_ORDER)
     rows = max(BLOCK_ROWS, -(-2 * order // values.shape[1]) + 1)
     found = ssi_poles(values, step, order, rows)
@@ -184,7 +184,7 @@ def operational_modes(run: TimeHistories, settings: IdentificationSettings) -> O
         np.abs(poles) / (2.0 * np.pi), real, nodes, components, -poles.real / np.abs(poles), "max"
     )
     length = min(values.shape[0], SEGMENT)
-    lines, spectra = signal.welch(values, 1.0 / step, nperseg=length, axis=0)
+    lines, spectra = scipy.signal.welch(values, 1.0 / step, nperseg=length, axis=0)
     inside = (lines > 0.0) & (lines >= low) & (lines <= high)
     seconds = run.values.shape[0] * run.step_s
     notes = (

@@ -53,3 +53,8 @@ def test_checking_a_campaign_imports_what_it_uses(unused: str) -> None:
         f"load_campaign(Path({str(SIX_MASS / 'campaign.yaml')!r}))"
     )
     assert unused not in imported_by(code)
+
+
+def test_pythons_commands_import_no_statistics_before_one_needs_them() -> None:
+    imported = imported_by("import modetune; modetune.update")
+    assert imported.isdisjoint({"prefect", "matplotlib", "polars", "dask", "scipy.stats"})
