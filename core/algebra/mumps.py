@@ -206,6 +206,7 @@ class Mumps:
             part = slice(first, first + _AT_ONCE)
             scales = self._scale[self._rows[part] - 1] * self._scale[self._columns[part] - 1]
             np.multiply(values[part], scales, out=scaled[part], casting="same_kind")
+        del values, diagonal  # as large as what MUMPS is about to take for its fronts
         self._told.a = self._library.pointer(scaled)
         for spare in _SPARE:
             self._told.icntl[14 - 1] = spare
@@ -274,8 +275,8 @@ class Mumps:
     @property
     def memory(self) -> int:
         """The memory with which the factors can be made and used, in bytes, where the pattern that
-        was given is given up."""
-        own = self._rows.nbytes + self._rows.size * self._kind.itemsize
+        was given, with its values in double precision, is given up."""
+        own = self._rows.nbytes + self._rows.size * (self._kind.itemsize - 8)
         return 10**6 * int(self._told.infog[26 - 1]) + own
 
     @property

@@ -117,13 +117,16 @@ class Pencil:
 
     def factorise(self, shift: float) -> None:
         """Factorise K - shift M. Raises ModelError where it is exactly singular."""
+        self.shift = self.kept_shift = self._invertible = None
+        self._factors.refactor(self._values(shift))  # which has the only reference to them
+        self.shift = self.kept_shift = shift
+        self.below = -1 if self._factors.lifted_pivots else self._factors.negative_pivots
+
+    def _values(self, shift: float) -> Floats:
         values = np.zeros(self._n_entries)
         values[self._stiffness_places] = self.stiffness.data
         values[self._mass_places] -= shift * self.mass.data
-        self.shift = self.kept_shift = self._invertible = None
-        self._factors.refactor(values)
-        self.shift = self.kept_shift = shift
-        self.below = -1 if self._factors.lifted_pivots else self._factors.negative_pivots
+        return values
 
     def inverse(self, block: Floats, out: Floats | None = None) -> Floats:
         """(K - s M)^-1 block, (n,) or (n, n_columns), at the last shift; out: where to put it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import gc
 import shutil
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from scipy import sparse
 
 from modetune.core.algebra import mumps
 from modetune.core.algebra.factorisation import filled_triangle
-from modetune.core.algebra.mumps import FactorFiles, Mumps
+from modetune.core.algebra.mumps import FactorFiles, Mumps, MumpsLibrary
+from modetune.core.algebra.pencil import Pencil
 from modetune.core.errors import ModelError, SolverExhausted
 
 needs_mumps = pytest.mark.skipif(not mumps.is_available(), reason="MUMPS is not installed here")
@@ -112,6 +114,31 @@ def test_files_hold_the_factors_and_go_with_them(tmp_path: Path) -> None:
     del factors
     gc.collect()
     assert not list(tmp_path.iterdir())
+
+
+@needs_mumps
+def test_values_are_given_up_before_mumps_takes_its_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    upper = grid(40)
+    pencil = Pencil(upper, sparse.csr_array(sparse.eye_array(upper.shape[0])))
+    pencil._factors = Mumps(upper, files(tmp_path))
+    made, given_up = list[weakref.ref[Any]](), list[bool]()
+    values, run = Pencil._values, MumpsLibrary.run
+
+    def watched(self: Pencil, shift: float) -> Any:
+        found = values(self, shift)
+        made.append(weakref.ref(found))
+        return found
+
+    def told(self: MumpsLibrary, structure: Any, job: int) -> int:
+        given_up.extend(one() is None for one in made)
+        return run(self, structure, job)
+
+    monkeypatch.setattr(Pencil, "_values", watched)
+    monkeypatch.setattr(MumpsLibrary, "run", told)
+    pencil.factorise(-1.0)
+    assert given_up == [True]
 
 
 @needs_mumps
