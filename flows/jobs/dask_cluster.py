@@ -28,6 +28,10 @@ MISSING = (
     "`engine: dask` needs the package {}; install all it needs with "
     "`pip install 'modetune[cluster]'`"
 )
+LOST = (
+    "the connection to the Dask scheduler was lost; start it and run the same command again: "
+    "finished jobs are not repeated"
+)
 JOB_CLUSTERS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster"}
 
 
@@ -83,6 +87,12 @@ def connected(connect: Callable[[], Any], section: DaskSection) -> Any:
         ) from error
 
 
+def check_connection(client: Any) -> None:
+    """Raise CampaignError where the scheduler is gone: Dask would hold a new task for ever."""
+    if client.status != "running":
+        raise CampaignError(LOST)
+
+
 def workers_apart(client: Any, url: str) -> list[str]:
     """Return the addresses of workers that cannot reach a Prefect server at this URL."""
     found = client.run(_reaches, url, on_error="return")
@@ -95,7 +105,8 @@ def _reaches(url: str) -> bool:
 
 def end_runs(client: Any, runs: Sequence[str]) -> None:
     """Stop the solvers of these runs on all workers."""
-    # If the scheduler is gone, so are its workers.
+    if client.status != "running":  # if the scheduler is gone, so are its workers
+        return
     with suppress(OSError, ValueError, RuntimeError):
         client.run(_end_runs, list(runs), on_error="ignore")
 
@@ -131,10 +142,7 @@ class DaskTaskRun:
 def dask_result(result: Callable[[], TaskResult], future: Any) -> TaskResult:
     """Return a task's result. Raises its error, or a ModetuneError for a failure of Dask."""
     if future.status in ("cancelled", "lost"):
-        raise CampaignError(
-            "the connection to the Dask scheduler was lost; start it and run the same command "
-            "again: finished jobs are not repeated"
-        )
+        raise CampaignError(LOST)
     try:
         return result()
     except ModetuneError:
@@ -164,6 +172,7 @@ class DaskRunner(PoolRunner):
             return super().submit(name, task, after)
         if task.order is not None:
             self.runs.add(task.order.run)
+        check_connection(self.client)
         return DaskTaskRun(
             self.client.submit(retry, task.attempt, key=uuid.uuid4().hex, pure=False)
         )
@@ -244,7 +253,7 @@ def _queued(section: DaskSection, threads: int) -> Any:
 
 def _quiet() -> None:
     """Silence Dask's log of workers that join and leave, which campaigns tolerate."""
-    for name in ("distributed", "tornado", "asyncio"):
+    for name in ("distributed", "distributed.client", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 

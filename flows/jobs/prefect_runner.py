@@ -33,6 +33,7 @@ from modetune.flows.campaign.site import DaskSection
 from modetune.flows.jobs.dask_cluster import (
     CONNECT_S,
     DaskRunner,
+    check_connection,
     cluster,
     connected,
     dask_result,
@@ -212,6 +213,7 @@ class PrefectDaskRunner(PrefectRunner):
             return self._here(note.with_options(**_named(name)), end, after, work)
         if work.order is not None:
             self.runs.add(work.order.run)
+        check_connection(self._runner.client)  # type: ignore[attr-defined]
         return super().submit(name, work, after)
 
     def _run(self, future: PrefectFuture[Any], work: Task) -> TaskRun:

@@ -30,7 +30,7 @@ from modetune.flows.campaign.site import DaskSection
 from modetune.flows.jobs import dask_cluster, execution
 from modetune.flows.jobs.campaign_engine import job_engine, solving_engine
 from modetune.flows.jobs.dask_cluster import DaskRunner, dask_result, workers_apart
-from modetune.flows.jobs.execution import solve_jobs
+from modetune.flows.jobs.execution import Execution, Work, solve_jobs
 from modetune.flows.jobs.job import Job
 from modetune.flows.jobs.runner import Task, retry
 from modetune.flows.updating.update import update_campaign
@@ -442,13 +442,13 @@ def test_a_scheduler_that_runs_is_used_and_left_running(
             assert len(workers_apart(client, "http://127.0.0.1:9/api")) == 1
 
 
-def test_a_scheduler_that_ends_is_told(
+def test_a_scheduler_that_ends_is_told_and_no_work_waits_for_it(
     scripted: Any, bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 3.0)  # how long the client seeks it
-    bench.script({1: "hang"})
+    bench.script({1: "hang", 2: "hang"})
     cluster = distributed.LocalCluster(
-        n_workers=1,
+        n_workers=2,
         threads_per_worker=1,
         host="127.0.0.1",
         dashboard_address="127.0.0.1:0",
@@ -457,14 +457,15 @@ def test_a_scheduler_that_ends_is_told(
     campaign = scripted(f"run.dask={{scheduler: '{cluster.scheduler_address}'}}")
 
     def end() -> None:
-        eventually(lambda: bench.runs() == 1)
+        eventually(lambda: bench.runs() == 2)
         cluster.close()
 
     ending = threading.Thread(target=end)
     ending.start()
+    works = [Work(f"modal {n}", (modal(1.0 + 0.1 * n),)) for n in range(6)]
     with (
         solving_engine(campaign) as engine,
         pytest.raises(CampaignError, match="scheduler was lost"),
     ):
-        solve_jobs(engine, [modal()])
+        Execution(engine).run("points", works)
     ending.join()
