@@ -22,7 +22,6 @@ def test_designs_run_on_warm_workers_and_an_interrupted_benchmark_goes_on(
     # The first model, three differences, and the points: of sobol, five times a power of two.
     jobs = {"2 lhs": 14, "2 sobol": 1 + 3 + 40, "1 lhs": 1 + 3 + 6}
     assert {piece: each["jobs"] for piece, each in found.items()} == jobs
-    assert all(each["wall_s"] > each["again_s"] for each in found.values())
     # A journal without its last line and last piece: only that piece is measured again.
     journal = tmp_path / "scale-out.jsonl"
     journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:-2]))
