@@ -99,7 +99,7 @@ def updated(problem: Problem, folder: Path) -> Sequence[str]:
 
 
 def field_update(n_elements: int, folder: Path) -> Sequence[str]:
-    """The update of four strips of a plate and of a field over the elements of the fifth."""
+    """The update of a field over the elements of a plate's first strip, and of the other four."""
     size = str(n_elements)
     PLATES[size] = STRIPS * n_elements
     problem = tested(set_up("plate", size, 1e-3, folder / "model"))

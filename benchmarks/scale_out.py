@@ -8,7 +8,7 @@ most. All workers are started before, and have run a job. The efficiency is
     jobs x seconds asleep / (workers x wall time of the command),
 
 so the command's start, its tables, the lone job of the first model and idle workers in the last
-round count against it. The cost of a job is the wall time beyond that of full rounds of sleep.
+round count against it. The milliseconds of a job are all that, less full rounds of sleep.
 
     python -m benchmarks.scale_out [--most 32] [--sleep 20] [--points 1000] [--prefect]
 

@@ -307,7 +307,7 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
 
     fit: without the size of the model's error, which the other modes give.
     """
-    used, inverse = fit.weights > 0.0, fit.inverse
+    used, inverse_root = fit.weights > 0.0, _root(fit.inverse)
     missed, n = [], 0
     modes = np.unique(fit.groups[used & (fit.groups >= 0)])
     if modes.size > MOST_PREDICTED:
@@ -316,7 +316,7 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
         own = used & (fit.groups == mode)
         rows, weights = fit.sensitivity[own], fit.weights[own]
         root = np.sqrt(weights)[:, None]
-        axes, lengths, _ = np.linalg.svd(root * (rows @ _root(inverse)), full_matrices=False)
+        axes, lengths, _ = np.linalg.svd(root * (rows @ inverse_root), full_matrices=False)
         tight = axes[:, 1.0 - lengths**2 < LOOSE]
         degrees = weights.size - tight.shape[1] - _n_scaled(fit, own)
         if degrees <= 0:
