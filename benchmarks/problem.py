@@ -26,7 +26,7 @@ from modetune.configs.bracket import bracket
 from modetune.configs.garteur import aircraft
 from modetune.configs.launcher import launcher
 from modetune.core.correlation.pairing import pair_by_shape
-from modetune.core.modes import Floats, ModeSet, mode_set
+from modetune.core.modes import Floats, Integers, ModeSet, mode_set
 from modetune.core.parameters import Parameter, ParameterSet
 
 #: Default deviations and weights of campaigns.
@@ -219,7 +219,7 @@ def bracket_of(size: str) -> Model:
     made = bracket.mesh(BRACKETS[size])
     middles = {name: made.coordinates[rows - 1].mean(axis=1) for name, rows in made.parts.items()}
     cuts = {"BASE": (0, "NEAR", "FAR"), "WALL": (2, "LOW", "HIGH"), "RIB": (2, "LOW", "HIGH")}
-    parts: dict[str, bracket.Integers] = {}
+    parts: dict[str, Integers] = {}
     for name, (axis, below, above) in cuts.items():
         low = middles[name][:, axis] < np.median(middles[name][:, axis])
         parts |= {f"{name}_{below}": made.parts[name][low]}

@@ -28,6 +28,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 
 from benchmarks.journal import FOLDER, Journal
@@ -104,9 +105,9 @@ def cluster(workers: int, folder: Path) -> Iterator[str]:
     worker += ["--local-directory", str(folder)]
     try:
         started.append(_start(worker, folder, "workers"))
-        from distributed import Client
-
-        with Client(scheduler_file=str(told_in), timeout=START_S) as client:
+        with import_module("distributed").Client(
+            scheduler_file=str(told_in), timeout=START_S
+        ) as client:
             client.wait_for_workers(workers, timeout=START_S)
             address: str = client.scheduler.address
         yield address
