@@ -129,6 +129,12 @@ class SolvedModes:
     counted: bool
     solutions: int
 
+    def first(self, n_modes: int) -> SolvedModes:
+        """Return the lowest of these modes; arrays are not copied."""
+        values, residuals = self.eigenvalues[:n_modes], self.residuals[:n_modes]
+        shapes = self.shapes[:, :n_modes]
+        return replace(self, eigenvalues=values, shapes=shapes, residuals=residuals)
+
 
 def of_pairs(
     pencil: Pencil, pairs: RitzPairs, n_modes: int, way: str, counted: bool
@@ -298,13 +304,7 @@ class ModeSolver:
         if not 0 < n_modes <= size:
             raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
         count = self._count if count is None else count
-        own = self._pencil is not None and (self._pencil.exact or not count)
-        if self._pencil is None or not own or not self._pencil.update(stiffness, mass):
-            self._pencil = None  # its memory is free before the next one takes any
-            similar = None if count else similar_vectors(n_modes)
-            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes), similar)
-            self._shift = None
-        pencil = self._pencil
+        pencil = self._pencil_of(stiffness, mass, n_modes, count)
         if size <= DENSE or n_modes > size // 2:
             return self._whole(pencil, n_modes, shift)
         if n_modes > pencil.n_with_mass:
@@ -333,6 +333,32 @@ class ModeSolver:
             if near is not None:
                 return near
         return self._from_random(pencil, n_modes, shift, count)
+
+    def counted(
+        self, stiffness: sparse.csr_array, mass: sparse.csr_array, solved: SolvedModes
+    ) -> SolvedModes | None:
+        """Return a model's modes as counted, by one factorisation; None if modes are missing.
+
+        stiffness, mass: as in `solve`. Raises SolverExhausted if memory does not suffice.
+        """
+        if solved.counted:
+            return solved
+        pencil = self._pencil_of(stiffness, mass, solved.eigenvalues.size, count=True)
+        self._shift = solved.shift
+        _, found, there = _below_last(pencil, solved)
+        return replace(solved, counted=True) if there == found else None
+
+    def _pencil_of(
+        self, stiffness: sparse.csr_array, mass: sparse.csr_array, n_modes: int, count: bool
+    ) -> Pencil:
+        """Return the pencil of these matrices, with the order of unknowns and factors at hand."""
+        usable = self._pencil is not None and (self._pencil.exact or not count)
+        if self._pencil is None or not usable or not self._pencil.update(stiffness, mass):
+            self._pencil = None  # its memory is free before the next one takes any
+            similar = None if count else similar_vectors(n_modes)
+            self._pencil = Pencil(stiffness, mass, most_vectors(n_modes), similar)
+            self._shift = None
+        return self._pencil
 
     def factorise(
         self,

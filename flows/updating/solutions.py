@@ -15,15 +15,17 @@ because a point was too far away, they are computed again.
 Shapes of all unknowns and the newest basis stay in memory. After a kill the start of the next
 search is computed again. The store keeps the shapes of a large model as long as a search may start
 from them, so that one factorisation is enough; those of a small model are computed point by point.
-Matrices that the solver assembles at a point are solved in the same way, and a count proves that no
-mode is missing.
+
+Matrices that the solver assembles at the end have the modes found there, if they are the matrices
+of all values at that point. Then one factorisation counts the modes, to prove that none is missing,
+and nothing is searched. Other matrices are solved from these modes.
 """
 
 from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -146,6 +148,10 @@ class ModalSet:
     n_modes: int
     start: ModalSet | ReducedAround | None
 
+    def is_in(self, other: ModalSet) -> bool:
+        """Return whether another set at the same values has all these modes."""
+        return self.n_modes <= other.n_modes and np.array_equal(self.values, other.values)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedAround:
@@ -165,16 +171,17 @@ class SolutionAt:
     """Modes at a point with shapes of all unknowns (n, n_modes).
 
     energies: (n_modes,), NaN for rigid modes, whose energies are below the rounding of the
-    matrices. factors: those of the search. previous: the basis (n, r) from which the search
-    started, if the factors are not the point's own.
+    matrices.
     """
 
-    eigenvalues: Floats
-    shapes: Floats
+    solved: SolvedModes
     energies: Floats
     n_rigid: int
-    factors: FactorsAt
-    previous: Floats | None
+
+    @property
+    def own_factors(self) -> bool:
+        """Return whether the search used the point's own factors."""
+        return not self.solved.way.startswith(KEPT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,18 +276,24 @@ class StoredModel:
 class Solutions:
     """The newest solutions of each type, in memory or computed again."""
 
-    def __init__(self, model: StoredModel, engine: JobEngine, shift: float) -> None:
-        """Set up without solutions; shift: of the first search, (rad/s)^2."""
+    def __init__(
+        self,
+        model: StoredModel,
+        engine: JobEngine,
+        shift: float,
+        sets: Mapping[tuple[float, ...], ModalSet],
+    ) -> None:
+        """Set up without solutions; shift: of the first search, (rad/s)^2; sets: all requests."""
         self.model = model
         self.engine = engine
         self.shift = shift
+        self.sets = sets
         # The solver's own modes at the end would reveal a missed one, so these are not counted.
         self._solver = ModeSolver(count=False)
         self._newest: tuple[ModalSet, SolutionAt] | None = None
         self._first: tuple[ModalSet, SolutionAt] | None = None
         self._basis: ReducedBasis | None = None
         self._factors: FactorsAt | None = None
-        self._kept: list[str] = []
 
     @property
     def held(self) -> str:
@@ -289,32 +302,31 @@ class Solutions:
 
     def modes(self, item: ModalSet) -> SolutionAt:
         """Return the modes of a point with shapes of all unknowns."""
-        if self._newest is not None and self._newest[0] is item:
-            return self._newest[1]
-        solved = self._stored(item)
-        here = self.model.matrices.at(item.values)
-        energies, n_rigid = solved_energies(self.model.campaign, here, solved)
-        factors, previous = FactorsAt(item, solved.shift), None
-        if solved.way.startswith(KEPT):
-            start = self._beginning(item)
-            assert start.factors is not None
-            factors, previous = start.factors, start.basis
-        shapes = solved.shapes
-        found = SolutionAt(solved.eigenvalues, shapes, energies, n_rigid, factors, previous)
-        self._newest = item, found
-        return found
+        if self._newest is None or self._newest[0] is not item:
+            self._newest = (
+                item,
+                self._with_energies(self._stored(item), self.model.matrices.at(item.values)),
+            )
+        return self._newest[1]
+
+    def _with_energies(self, solved: SolvedModes, here: MatrixResult) -> SolutionAt:
+        return SolutionAt(solved, *solved_energies(self.model.campaign, here, solved))
+
+    @property
+    def _keeps(self) -> bool:
+        """Return whether the store keeps solutions while searches need them."""
+        return self.model.matrices.base.nodes.size >= KEPT_FROM
 
     def _stored(self, item: ModalSet) -> SolvedModes:
-        """Return the modes of a point; a large model's are stored while searches need them."""
-        if self.model.matrices.base.nodes.size < KEPT_FROM:
+        """Return the modes of a point, of a large model from the store."""
+        if not self._keeps:
             return self._searched(item)
-        asked: Json = {"solution": item.key}
-        key = content_key(canonical_json(asked))
-        known = key in self.engine.store
-        found = self.engine.derived(asked, lambda: self._searched(item), SolvedModes)
-        self._kept.append(key)
+        known = _solution_key(item) in self.engine.store
+        found = self.engine.derived(
+            _asked_solution(item), lambda: self._searched(item), SolvedModes
+        )
         if not known and not found.way.startswith(KEPT):
-            self.forget(key)  # nothing leads back beyond this one
+            self.forget(item)  # nothing leads back beyond this one
         return found
 
     def _searched(self, item: ModalSet) -> SolvedModes:
@@ -325,27 +337,30 @@ class Solutions:
         self._factors = FactorsAt(item, solved.shift) if own else at_hand
         return solved
 
-    def forget(self, but: str = "") -> None:
-        """Remove stored starts of searches from the store, except the one named."""
-        for key in set(self._kept) - {but}:
-            self.engine.store.drop(key)
-        self._kept = [but] if but else []
+    def forget(self, but: ModalSet | None = None) -> None:
+        """Remove solutions from the store, except one."""
+        if self._keeps:
+            for item in self.sets.values():
+                if item is not but:
+                    self.engine.store.drop(_solution_key(item))
 
     def assembled(
         self, item: ModalSet, begun: Callable[[], Callable[[], MatrixResult]], count: bool
-    ) -> tuple[SolvedModes, tuple[Floats, int]]:
+    ) -> SolutionAt:
         """Return modes of the matrices that the solver assembles at a point.
 
-        Also return their energies (n_modes,) and the number of rigid modes. begun: starts the
-        solver and returns a function that waits for its end. count: prove that no mode is missing,
-        if there is memory for it.
+        begun: starts the solver and returns a function that waits for its end. count: prove that no
+        mode is missing, if there is memory for it.
 
         If the matrices differ from those of all values only by rounding in the text, they have the
-        same modes. These are computed while the solver runs, if its job leaves cores free, with the
-        existing order of unknowns and factors. Raises ModelError if the matrices have other
-        equations.
+        same modes. These are counted while the solver runs, if its job leaves cores free, with the
+        existing order of unknowns; they are searched for if the point was not solved before. Raises
+        ModelError if the matrices have other equations.
         """
         start, there = self._beginning(item), self.model.matrices.at(item.values)
+        known = None
+        if self._first is not None and item.is_in(self._first[0]):
+            known = self._first[1].solved.first(item.n_modes)
         wait = begun()
         beside = self.engine.cores_beside
         if self.engine.policy.memory_bytes:  # what a campaign names is the job's alone
@@ -355,26 +370,42 @@ class Solutions:
         if not beside:
             wait()
         try:
-            found = self._counted(item, start, there, count, beside)
+            found = self._counted(item, start, there, count, beside, known)
         except ModetuneError:
             wait()
             raise
         here = wait()
         if any(upper.nnz for upper in differences(there, here)):
             there, found = here, self._counted(item, start, here, found.counted)
-        return found, solved_energies(self.model.campaign, there, found)
+        return self._with_energies(found, there)
 
     def _counted(
-        self, item: ModalSet, start: SearchStart, here: MatrixResult, count: bool, beside: int = 0
+        self,
+        item: ModalSet,
+        start: SearchStart,
+        here: MatrixResult,
+        count: bool,
+        beside: int = 0,
+        known: SolvedModes | None = None,
     ) -> SolvedModes:
-        """Return `_solved`, without a count if it is optional and does not fit into memory."""
+        """Return `_solved`, without a count if it is optional and does not fit into memory.
+
+        known: the modes of these matrices, if they need not be searched for.
+        """
         try:
-            return self._solved(item, start, here, count, beside)[1]
+            if known is not None and count:
+                self._newest = self._factors = None
+                with self.engine.all_cores(beside):
+                    known = self._solver.counted(here.upper_stiffness, here.upper_mass, known)
+            if known is None:
+                known = self._solved(item, start, here, count, beside)[1]
         except SolverExhausted as error:
             if not count or self.engine.policy.single_factors is False:
                 raise
             logger.warning("modes at the end are not counted: %s", error)
-            return self._solved(item, start, here, False, beside)[1]
+            if known is None:
+                known = self._solved(item, start, here, False, beside)[1]
+        return known
 
     def lent(self) -> ModeSolver:
         """Lend the solver of the model to a caller that leaves other factors in it."""
@@ -417,10 +448,15 @@ class Solutions:
     def basis(self, around: ReducedAround) -> ReducedBasis:
         """Return a reduced model with its basis."""
         if self._basis is None or self._basis.of is not around:
-            solved, observer = self.modes(around.of), self.model.observer(*around.seen)
-            own = solved.factors.of is around.of
+            found, observer = self.modes(around.of), self.model.observer(*around.seen)
+            solved, own = found.solved, found.own_factors
+            factors, previous = FactorsAt(around.of, solved.shift), None
+            if not own:
+                start = self._beginning(around.of)
+                assert start.factors is not None
+                factors, previous = start.factors, start.basis
             with self.engine.all_cores():
-                self._hold(solved.factors)
+                self._hold(factors)
                 made = reduce(
                     self.model.matrices,
                     around.of.values,
@@ -428,15 +464,15 @@ class Solutions:
                     solved.shapes,
                     self._solver.inverse,
                     around.modes,
-                    solved.n_rigid,
+                    found.n_rigid,
                     observer,
-                    solved.previous,
+                    previous,
                     exact=own and self._solver.inverts_exactly,
                 )
             reduced, vectors = made
             if vectors.nbytes > self.model.in_memory:
                 vectors = self.model.in_files(lambda folder: put_in_file(folder, vectors.T).T)
-            self._basis = ReducedBasis(around, solved.n_rigid, solved.factors, reduced, vectors)
+            self._basis = ReducedBasis(around, found.n_rigid, factors, reduced, vectors)
         return self._basis
 
     def _beginning(self, item: ModalSet) -> SearchStart:
@@ -447,7 +483,7 @@ class Solutions:
             if self._first is None or self._first[0] is not item.start:
                 self._first = item.start, self.modes(item.start)
             first, factors, basis = self._first[1], None, None
-            eigenvalues, shapes, n_rigid = first.eigenvalues, first.shapes, first.n_rigid
+            eigenvalues, shapes, n_rigid = _all_unknowns(first)
         else:
             self._first = None
             again = self._basis is None or self._basis.of is not item.start
@@ -463,6 +499,19 @@ class Solutions:
         elastic = eigenvalues[n_rigid:]
         shift = shift_below(float(elastic[0])) if elastic.size else self.shift
         return SearchStart(shift, shapes, factors, basis)
+
+
+def _all_unknowns(found: SolutionAt) -> tuple[Floats, Floats, int]:
+    """Return eigenvalues (n_modes,), shapes (n, n_modes) and the number of rigid modes."""
+    return found.solved.eigenvalues, found.solved.shapes, found.n_rigid
+
+
+def _asked_solution(item: ModalSet) -> Json:
+    return {"solution": item.key}
+
+
+def _solution_key(item: ModalSet) -> str:
+    return content_key(canonical_json(_asked_solution(item)))
 
 
 class NotCounted(Exception):
@@ -485,8 +534,8 @@ class MatrixModes:
         if source.jobs(campaign.start, columns):
             _ = self._model.matrices  # assemble the matrices from the jobs' results at once
         self._shift = first_shift(campaign)
-        self._solutions = Solutions(self._model, engine, self._shift)
         self._sets: dict[tuple[float, ...], ModalSet] = {}
+        self._solutions = Solutions(self._model, engine, self._shift, self._sets)
         self._first: dict[int, ModalSet] = {}
         self._reduced: dict[str, ReducedAround] = {}
         self._around: ReducedAround | None = None
@@ -501,9 +550,7 @@ class MatrixModes:
         item = self._set(theta, analysis.n_modes)
 
         def compute() -> ModalResult:
-            solved = self._solutions.modes(item)
-            found = solved.eigenvalues, solved.shapes, solved.energies, solved.n_rigid
-            return modes_at(self._model, *found, analysis)
+            return self._seen(self._solutions.modes(item), analysis)
 
         asked = _asked_modes(item, self._model.named(analysis.nodes))
         found = self._derived(asked, compute, ModalResult, "modal by stored matrices")
@@ -518,12 +565,15 @@ class MatrixModes:
     ) -> tuple[str, ModalResult, bool]:
         """Return `modal` for matrices that the solver assembles at a point, and whether counted.
 
-        job: the key of its job; begun: as in `Solutions.assembled`. The search starts from the
-        modes of the matrices of all values. Factors in single precision cannot count modes: if the
-        campaign requires them, or memory is too small for others, modes are not counted. Raises
+        job: the key of its job; begun: as in `Solutions.assembled`, which begins with the modes of
+        the matrices of all values. Factors in single precision cannot count modes: if the campaign
+        requires them, or memory is too small for others, modes are not counted. Raises
         ModelError if the count shows that modes are missing.
         """
-        start = self._newest or next(iter(self._first.values()), None)
+        n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
+        here = ModalSet("", self.source.written(theta), n_modes, None)
+        known = (item for item in self._sets.values() if here.is_in(item))
+        start = next(known, self._newest or next(iter(self._first.values()), None))
 
         def asked(counted: bool) -> Json:
             return {
@@ -537,22 +587,21 @@ class MatrixModes:
 
         keys = {counted: content_key(canonical_json(asked(counted))) for counted in (True, False)}
 
-        uncounted: list[tuple[SolvedModes, tuple[Floats, int]]] = []
+        uncounted: list[SolutionAt] = []
 
-        def solved_there(counted: bool) -> tuple[SolvedModes, tuple[Floats, int]]:
-            n_modes = min(analysis.n_modes, self._model.matrices.base.nodes.size)
-            item = ModalSet(keys[counted], self.source.written(theta), n_modes, start)
+        def solved_there(counted: bool) -> SolutionAt:
+            item = replace(here, key=keys[counted], start=start)
             return self._solutions.assembled(item, begun, counted)
 
         def found(counted: bool) -> tuple[str, ModalResult, bool]:
             def compute() -> ModalResult:
-                solved, more = uncounted.pop() if uncounted else solved_there(counted)
-                if counted and not solved.counted:
-                    uncounted.append((solved, more))
+                there = uncounted.pop() if uncounted else solved_there(counted)
+                if counted and not there.solved.counted:
+                    uncounted.append(there)
                     raise NotCounted
                 self.engine.store.drop(job)  # as large as the model, and not needed again
                 self._solutions.forget()
-                return modes_at(self._model, solved.eigenvalues, solved.shapes, *more, analysis)
+                return self._seen(there, analysis)
 
             name = "modes of assembled matrices" + ", counted" * counted
             modal = self._derived(asked(counted), compute, ModalResult, name)
@@ -682,9 +731,9 @@ class MatrixModes:
             return None
 
         def compute() -> ModeDerivatives:
-            solved, matrices = self._solutions.modes(around.of), self._model.matrices
+            there, matrices = self._solutions.modes(around.of), self._model.matrices
             observer, here = self._model.observer(*around.seen), matrices.at(around.of.values)
-            eigenvalues, shapes, n_rigid = solved.eigenvalues, solved.shapes, solved.n_rigid
+            eigenvalues, shapes, n_rigid = _all_unknowns(there)
             turn = np.eye(eigenvalues.size)
             turn[n_rigid:, n_rigid:] = rotation_onto(
                 observer @ shapes[:, n_rigid:],
@@ -726,6 +775,10 @@ class MatrixModes:
     def _newest(self) -> ReducedAround | None:
         """Return the reduced model of the newest request that was not a repetition."""
         return next(reversed(self._reduced.values()), None)
+
+    def _seen(self, found: SolutionAt, analysis: ModalAnalysis) -> ModalResult:
+        solved = found.solved.eigenvalues, found.solved.shapes, found.energies, found.n_rigid
+        return modes_at(self._model, *solved, analysis)
 
     def _set(self, theta: Floats, n_modes: int) -> ModalSet:
         """Return a point with the start of its search."""

@@ -13,7 +13,7 @@ import pytest
 
 import modetune
 from modetune.core.algebra import pencil
-from modetune.core.algebra.eigen import ModeSolver
+from modetune.core.algebra.eigen import ModeSolver, SolvedModes
 from modetune.core.algebra.matrices import MatrixResult
 from modetune.core.errors import CampaignError, SolverExhausted
 from modetune.core.monitoring.past_runs import read_history
@@ -72,9 +72,6 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
     file = written(made, tmp_path / "part")
     if way == "kept factors":  # as where a factorisation takes as long as hundreds of vectors
         monkeypatch.setattr(pencil, "FACTORISED_COLUMNS", 100.0)
-    by_modes = record_of(file, tmp_path / "modes", watcher)
-    assert by_modes.best.solved_by == "calculix"  # of so few elements a run takes nothing
-    monkeypatch.setattr(mode_source, "SPARED_S", 0.0)
     ways = list[str]()
     real = ModeSolver.solve
 
@@ -84,11 +81,19 @@ def test_a_run_that_would_take_long_is_left_to_matrices_with_the_same_answer(
         return found
 
     monkeypatch.setattr(ModeSolver, "solve", solve)
+    by_modes = record_of(file, tmp_path / "modes", watcher)
+    assert by_modes.best.solved_by == "calculix"  # of so few elements a run takes nothing
+    searched = ways.copy()
+    ways.clear()
+    monkeypatch.setattr(mode_source, "SPARED_S", 0.0)
     by_matrices = record_of(file, tmp_path / "matrices", watcher, *settings)
-    assert by_matrices.best.solved_by.startswith("calculix's matrices, ")
+    assert re.fullmatch(r"calculix's matrices, \d+ modes counted", by_matrices.best.solved_by)
     assert by_matrices.runs.modal == 0
     assert by_matrices.runs.sensitivity == by_modes.runs.sensitivity + 1
-    assert ways[-1] == way  # what was found is where the search begins
+    assert ways[-1] == way
+    # What was found there is counted, not searched for again; a reduced model foresaw the
+    # cymbal's end.
+    assert ways == searched + [way] * (case is cymbal)
     np.testing.assert_array_equal(by_matrices.updated, by_modes.updated)
     np.testing.assert_allclose(by_matrices.updated, made.truth, rtol=1e-4)
     # CalculiX prints eigenvalues with seven digits.
@@ -120,7 +125,13 @@ def test_an_answer_is_confirmed_later_by_one_job(
     assert found.verdict is not TrustVerdict.TRUSTED
     assert found.runs.sensitivity == at_once.runs.sensitivity - (by == "matrices")
 
-    real = Store.put
+    real, solve, solved = Store.put, ModeSolver.solve, list[bool]()
+
+    def noted(*given: Any, **named: Any) -> Any:
+        solved.append(True)
+        return solve(*given, **named)
+
+    monkeypatch.setattr(ModeSolver, "solve", noted)
 
     def killed(self: Store, *given: Any) -> None:
         raise Killed
@@ -134,6 +145,7 @@ def test_an_answer_is_confirmed_later_by_one_job(
     assert Store.put is real
     # A setting says as much as the argument.
     confirmed = modetune.confirm(folder, settings={"update.confirm": by}).record
+    assert not solved  # the store has the shapes of the end
     kept = read_record(folder)
     assert not kept.unconfirmed
     # The record has the cost of both; the command itself ran one job.
@@ -150,6 +162,32 @@ def test_an_answer_is_confirmed_later_by_one_job(
     assert [run.number for run in history.nights()] == [2]
     with pytest.raises(CampaignError, match="nothing left to confirm: calculix"):
         modetune.confirm(folder)
+
+
+def test_modes_that_the_count_finds_missing_are_searched_for(
+    tmp_path: Path, watcher: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, settings = written(long_bar(), tmp_path / "part"), ("update.confirm=matrices",)
+    whole = record_of(file, tmp_path / "whole", watcher, *settings)
+    real, counted = ModeSolver.counted, list[bool]()
+
+    def lacking(self: ModeSolver, stiffness: Any, mass: Any, solved: SolvedModes) -> Any:
+        few = replace(
+            solved,
+            eigenvalues=np.delete(solved.eigenvalues, 2),
+            shapes=np.delete(solved.shapes, 2, axis=1),
+        )
+        found = real(self, stiffness, mass, few)
+        counted.append(found is not None)
+        return found
+
+    monkeypatch.setattr(ModeSolver, "counted", lacking)
+    again = record_of(file, tmp_path / "again", watcher, *settings)
+    assert counted == [False]
+    assert again.best.solved_by == whole.best.solved_by
+    np.testing.assert_allclose(
+        again.best.computed.frequencies_hz, whole.best.computed.frequencies_hz, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("case", [long_bar, cymbal, tuning_fork])
@@ -170,9 +208,14 @@ def test_without_room_for_a_count_matrices_confirm_uncounted(
             raise SolverExhausted("no room")
         return real(self, *given)
 
+    def count(self: ModeSolver, *given: Any) -> Any:
+        counts.append(True)
+        raise SolverExhausted("no room")
+
     counted = record_of(file, tmp_path / "counted", watcher, auto)
     assert re.fullmatch(r"calculix's matrices, \d+ modes counted", counted.best.solved_by)
     monkeypatch.setattr(ModeSolver, "solve", solve)
+    monkeypatch.setattr(ModeSolver, "counted", count)
     record = record_of(file, tmp_path / "without", watcher, auto)
     assert re.fullmatch(r"calculix's matrices, \d+ modes not counted", record.best.solved_by)
     assert "modes at the end are not counted: no room" in caplog.text
@@ -237,9 +280,8 @@ def test_killed_before_matrices_confirm_it_ends_on_the_same_bits(
     if kept_from:
         assert solved > 1  # set by set
         return
-    # What is kept leads to the start of the last search by factors alone, and then leaves.
-    assert solved == 1
-    assert factorised <= 3  # those of the start, the modes' own, the count's
+    # What is kept has the modes of the end, which are counted, and then leaves.
+    assert (solved, factorised) == (0, 1)
     for place in ("whole", "killed"):
         store = Store(tmp_path / place / "store")
         held_kinds = {
