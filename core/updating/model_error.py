@@ -89,6 +89,8 @@ def model_error_columns(state: ModelState, responses: Sequence[Response]) -> Flo
     modes, compared = state.seen, state.pairing.computed
     shapes = np.real(modes.mode_shapes)
     errors = _errors(state, _points(state))
+    if not any(item.kind in OF_MODES and item.kind != "frequencies" for item in responses):
+        shapes = shapes[:0]  # frequencies alone do not change with them
     slopes = np.zeros((compared.size, len(errors)))
     changes = np.zeros((shapes.shape[0], compared.size, len(errors)))
     for place, (slope, mixture) in enumerate(errors):
@@ -287,9 +289,7 @@ def _error_size(fit: LinearFit) -> float:
     scale = np.linalg.cholesky(fit.known) if fit.known.any() else None
     if scale is not None:
         rows = scipy.linalg.solve_triangular(scale, rows.T, lower=True).T
-    basis, singular, _ = np.linalg.svd(rows, full_matrices=False)
-    least = RANK_TOLERANCE * singular.max(initial=0.0) if scale is None else 1.0
-    basis = basis[:, singular > least]
+    basis = _span(rows, None if scale is None else 1.0)
     left, columns = left - basis @ (basis.T @ left), columns - basis @ (basis.T @ columns)
     axes, lengths, _ = np.linalg.svd(columns, full_matrices=False)
     along = (axes.T @ left) ** 2
@@ -300,6 +300,27 @@ def _error_size(fit: LinearFit) -> float:
     return float(np.interp(0.5 * below[-1], below, SIZES))
 
 
+def _span(rows: Floats, least: float | None) -> Floats:
+    """Return an orthonormal basis of the range of a matrix, (n_rows, rank).
+
+    Directions count whose singular value is beyond `least`, by default beyond rounding. Where a
+    triangular factor shows that all are, it takes a fifth of the time of singular values.
+    """
+    n_rows, n = rows.shape
+    if n_rows >= n > 0:
+        basis, triangle = np.linalg.qr(rows)
+        share, _ = scipy.linalg.lapack.dtrcon(triangle)
+        smallest = share * np.abs(triangle).sum(axis=0).max() / np.sqrt(n)
+        # The share is an estimate, seldom three times too large.
+        size = float(np.linalg.norm(triangle))
+        if smallest > 10.0 * (RANK_TOLERANCE * size if least is None else least):
+            return np.asarray(basis)
+    basis, singular, _ = np.linalg.svd(rows, full_matrices=False)
+    if least is None:
+        least = RANK_TOLERANCE * float(singular.max(initial=0.0))
+    return np.asarray(basis[:, singular > least])
+
+
 def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
     """Return the names of the modes whose prediction from all others misses its interval, and how
     many modes were predicted: one that alone determines a parameter is not, and at most
@@ -307,7 +328,8 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
 
     fit: without the size of the model's error, which the other modes give.
     """
-    used, inverse_root = fit.weights > 0.0, _root(fit.inverse)
+    used, inverse = fit.weights > 0.0, fit.inverse
+    inverse_root = _root(inverse)
     missed, n = [], 0
     modes = np.unique(fit.groups[used & (fit.groups >= 0)])
     if modes.size > MOST_PREDICTED:
@@ -316,18 +338,22 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
         own = used & (fit.groups == mode)
         rows, weights = fit.sensitivity[own], fit.weights[own]
         root = np.sqrt(weights)[:, None]
-        axes, lengths, _ = np.linalg.svd(root * (rows @ inverse_root), full_matrices=False)
-        tight = axes[:, 1.0 - lengths**2 < LOOSE]
+        axes, lengths, across = np.linalg.svd(root * (rows @ inverse_root), full_matrices=False)
+        others_share = 1.0 - lengths**2
+        tight = axes[:, others_share < LOOSE]
         degrees = weights.size - tight.shape[1] - _n_scaled(fit, own)
         if degrees <= 0:
             continue
         without = fit.without(own)
-        others = without.inverse
+        if tight.size:
+            others = without.inverse
+        else:  # the inverse without these rows, by Woodbury's formula
+            turned = inverse_root @ across.T
+            others = inverse + (turned * (lengths**2 / others_share)) @ turned.T
         change = -others @ rows.T @ (weights * fit.left[own])
         without = replace(without, left=without.left - without.sensitivity @ change)
         known, size = with_model_error(without)
         weighted = without.weights[:, None] * without.sensitivity
-        noise = weighted.T @ (known.variances[:, None] * weighted) + fit.known
         spread = rows @ others
         moved = size * (fit.errors[own] - spread @ (weighted.T @ without.errors))
         ratios = known.variances / without.variances
@@ -336,13 +362,26 @@ def missed_modes(fit: LinearFit) -> tuple[tuple[str, ...], int]:
         deviations = np.sqrt(scale * fit.variances[own])
         statistic = _squares(
             (fit.left[own] - rows @ change) / deviations,
-            np.hstack([spread @ _root(noise), moved]) / deviations[:, None],
+            np.hstack([_scatter(spread, weighted, known), moved]) / deviations[:, None],
             tight / (root * deviations[:, None]),
         )
         n += 1
         if scipy.special.chdtrc(degrees, statistic) < 1.0 - INTERVAL:
             missed.append(fit.modes[mode])
     return tuple(missed), n
+
+
+def _scatter(spread: Floats, weighted: Floats, fit: LinearFit) -> Floats:
+    """Return L with L L^T the covariance of predictions by the noise of what predicts them.
+
+    spread: (n, n_free), what parameters change of them, by the others' inverse information;
+    weighted: (n_rows, n_free), the others' sensitivity by their weights; fit: of the others.
+    L: (n, n) or (n, n_free), the smaller.
+    """
+    if len(spread) >= len(fit.known):
+        return spread @ _root(weighted.T @ (fit.variances[:, None] * weighted) + fit.known)
+    moved = spread @ weighted.T
+    return _root((moved * fit.variances) @ moved.T + spread @ fit.known @ spread.T)
 
 
 def _root(matrix: Floats) -> Floats:

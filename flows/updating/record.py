@@ -1,8 +1,9 @@
 """The record of a campaign, its run folder, and the summary for people and machines.
 
-A record under way is written at most once in a second, since writing each would take a campaign
-with all results in the store longer than its iterations; the newest record is always written. A
-kill loses at most the view of that second's work: its results are stored.
+A record under way is written at most once in a second, and in a tenth of the time at most, since
+writing each would take a campaign with all results in the store, or with hundreds of parameters,
+longer than its iterations; the newest record is always written. A kill loses at most the view of
+that time's work: its results are stored.
 """
 
 from __future__ import annotations
@@ -74,8 +75,8 @@ if TYPE_CHECKING:
 
 #: Packages whose arithmetic a campaign's numbers depend on, in addition to the solver.
 PACKAGES = ("numpy", "scipy", "h5py")
-#: Seconds that a record may wait to be written.
-LATE_S = 1.0
+#: Seconds that a record may wait to be written, and times what writing the one before took.
+LATE_S, LATE = 1.0, 10.0
 
 
 def campaign_record(
@@ -235,18 +236,20 @@ def unfinished_record(path: Path) -> Iterator[Callable[[CampaignRecord], None]]:
     Raises StorageUnavailable, of a record that waited with the next one.
     """
     lock, newest = threading.Lock(), list[CampaignRecord]()
-    written = time.monotonic()
+    due = time.monotonic() + LATE_S
     timer: threading.Timer | None = None
 
     def write() -> None:
-        nonlocal written, timer
+        nonlocal due, timer
         with lock:
             if timer is not None:
                 timer.cancel()
             timer = None
             if newest:
+                began = time.monotonic()
                 write_record(path, newest.pop())
-                written = time.monotonic()
+                ended = time.monotonic()
+                due = ended + max(LATE_S, LATE * (ended - began))
 
     def write_late() -> None:
         with suppress(StorageUnavailable):
@@ -256,7 +259,7 @@ def unfinished_record(path: Path) -> Iterator[Callable[[CampaignRecord], None]]:
         nonlocal timer
         with lock:
             newest[:] = [record]
-        left = written + LATE_S - time.monotonic()
+        left = due - time.monotonic()
         if record.status != "running" or left <= 0.0:
             write()
         elif timer is None:

@@ -323,15 +323,13 @@ class Sensitivities:
         """
         own = self._of_solver(point, methods) if "solver" in methods else {}
         own |= self._of_matrices(point, [c for c in columns if methods[c] == "semi_analytic"])
-        derivatives = []
-        for column in columns:
-            if column in own:
-                derivatives.append(own[column])
-            elif methods[column] == "strain_energy":
-                derivatives.append(self._strain_energy(point, column))
-            else:
-                derivatives.append(self._finite_difference(point, column))
-        return stack_derivatives(derivatives)
+        own |= self._of_energies(point, [c for c in columns if methods[c] == "strain_energy"])
+        return stack_derivatives(
+            [
+                own[column] if column in own else self._finite_difference(point, column)
+                for column in columns
+            ]
+        )
 
     def _of_matrices(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
         if not columns:
@@ -342,9 +340,12 @@ class Sensitivities:
 
     # strain energies
 
-    def _strain_energy(self, point: Point, column: int) -> ModeDerivatives:
-        values = by_energies(point, self.parameters.names)[:, [column]]
-        return ModeDerivatives(values, np.zeros((0, len(values), 1)))
+    def _of_energies(self, point: Point, columns: Sequence[int]) -> dict[int, ModeDerivatives]:
+        if not columns:
+            return {}
+        values = by_energies(point, self.parameters.names)
+        none = np.zeros((0, len(values), 1))
+        return {column: ModeDerivatives(values[:, [column]], none) for column in columns}
 
     # the solver's own
 
