@@ -115,11 +115,14 @@ class CalculixMesh:
 
 def read_mesh(deck: KeywordDeck) -> CalculixMesh:
     """Read nodes, elements and sets of a deck. Raises ModelError with file and line."""
-    nodes = set[int]()
+    nodes = dict[int, int]()  # by number, the position of its line
     for card in deck.named("*NODE"):
         for position in card.data:
             fields = deck.lines[position].text.split(",")
-            nodes.update(_whole(deck, position, fields[:1]))
+            for node in _whole(deck, position, fields[:1]):
+                first = nodes.setdefault(node, position)
+                if first != position:
+                    _check_repeated(deck, node, first, position)
             if max(map(len, fields)) > FIELD_WIDTH:
                 check_width(deck.lines[position], fields)
     sets: dict[str, set[int]] = {}
@@ -131,7 +134,7 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
         for position, (number, *corners) in _element_rows(deck, card):
             fresh[number] = Element(kind, position, tuple(corners))
             used.update(corners)
-            if is_known and not nodes.issuperset(corners):
+            if is_known and not nodes.keys() >= set(corners):
                 lost = next(node for node in corners if node not in nodes)
                 where = deck.lines[position].where
                 raise ModelError(f"{where}: element {number} has node {lost}, which is not there")
@@ -151,7 +154,21 @@ def read_mesh(deck: KeywordDeck) -> CalculixMesh:
         where = next(line.where for line in deck.lines if str(largest) in line.text)
         raise ModelError(f"{where}: the number {largest} is larger than {LARGEST}, the largest one")
     frozen = {name: frozenset(members) for name, members in sets.items()}
-    return CalculixMesh(frozenset(nodes), frozenset(used & nodes), elements, frozen)
+    return CalculixMesh(frozenset(nodes), frozenset(used & nodes.keys()), elements, frozen)
+
+
+def _check_repeated(deck: KeywordDeck, node: int, first: int, again: int) -> None:
+    """Raise ModelError if two lines put a node at different places, of which ccx takes the last."""
+    lines = deck.lines[first], deck.lines[again]
+    try:
+        one, other = ([_number(field) for field in line.text.split(",")[1:4]] for line in lines)
+    except ValueError:
+        return  # `read_places` says what is wrong
+    if one != other:
+        raise ModelError(
+            f"{lines[0].where} and {lines[1].where}: node {node} is there twice, "
+            "at different places"
+        )
 
 
 def _set_name(deck: KeywordDeck, card: KeywordCard) -> str:

@@ -307,6 +307,17 @@ def test_a_bad_mesh_names_file_and_line(tmp_path: Path, old: str, new: str, mess
         model_of(tmp_path, text)
 
 
+def test_a_node_may_be_there_twice_only_at_one_place(tmp_path: Path) -> None:
+    twice = model_of(tmp_path, DECK + "*NODE\n14, 3., 1.0, 1\n")
+    assert twice.summary.node_ids == set(range(1, 15))
+    deck = tmp_path / "main.inp"
+    message = (
+        f"{deck}, line 15 and {deck}, line {len(DECK.splitlines()) + 2}: node 14 is there twice"
+    )
+    with pytest.raises(ModelError, match=re.escape(message)):
+        model_of(tmp_path, DECK + "*NODE\n14, 3, 1, 2\n")
+
+
 def test_a_deck_without_a_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="has 1 nodes and 0 elements"):
         model_of(tmp_path, "*NODE\n1, 0, 0, 0\n")

@@ -68,17 +68,26 @@ def test_tetrahedra_that_are_too_large_for_a_mode_are_doubtful(tmp_path: Path) -
     assert error > 0.05
     (doubt,) = doubts
     assert doubt.startswith("doubtful: ten-node tetrahedra are too large for the modes at ")
-    assert doubt.endswith("with which bars had frequencies up to 50 % too high")
+    assert doubt.endswith("with which bars had frequencies 1 to 120 % too high")
     _, accepted = checked(tmp_path, 2, 1, "--set", "model.checks=[mesh]")
     assert accepted[0].startswith("good: ")
     assert accepted[0].endswith("(accepted)")
 
 
 @needs_ccx
-def test_a_finer_mesh_within_one_per_cent_is_not_doubted(tmp_path: Path) -> None:
-    error, doubts = checked(tmp_path, 12, 2)
+def test_a_mesh_of_three_elements_is_doubtful(tmp_path: Path) -> None:
+    error, doubts = checked(tmp_path, 3, 1)
+    assert error > 0.04
+    assert doubts[0].startswith("doubtful: ")
+
+
+@needs_ccx
+def test_a_finer_mesh_within_one_per_cent_is_good_with_its_error(tmp_path: Path) -> None:
+    error, texts = checked(tmp_path, 12, 2)
     assert abs(error) < 0.01
-    assert doubts == []
+    (text,) = texts
+    assert text.startswith("good: ten-node tetrahedra: neighbouring corners differ by at most ")
+    assert error < float(text.split("up to ")[1].split(" %")[0]) / 100.0 < 0.03
 
 
 def test_the_differences_of_a_wave_are_its_wave_number_times_an_edge() -> None:
