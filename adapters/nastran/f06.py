@@ -19,11 +19,14 @@ its messages all the same.
 from __future__ import annotations
 
 import io
+import mmap
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -322,8 +325,9 @@ class F06:
 def read_f06(path: Path, tables: bool = True) -> F06:
     """Read a print file, whether the run was good or not.
 
-    tables: whether it may have any, or is a file of messages. Raises SolverCrashed where it cannot
-    be opened, or where a run that reached its end printed tables that do not fit together.
+    tables: whether they are read; if not, nor is what is before the first message, or before the
+    last lines if there is none. Raises SolverCrashed where it cannot be opened, or where a run that
+    reached its end printed tables that do not fit together.
     """
     scan = _Scan(tables)
     try:
@@ -332,6 +336,8 @@ def read_f06(path: Path, tables: bool = True) -> F06:
             open_regular(path) as file,
             io.TextIOWrapper(file, encoding="latin-1", newline="\n") as lines,
         ):
+            if not tables:
+                file.seek(_first_message(file))
             scan.read(lines)
     except OSError as error:
         raise SolverCrashed(f"{path} cannot be read: {error}") from error
@@ -341,6 +347,17 @@ def read_f06(path: Path, tables: bool = True) -> F06:
         if scan.ended:
             raise SolverCrashed(f"{path} holds tables that do not fit: {error}") from error
         return scan.result(tables=False)
+
+
+def _first_message(file: BinaryIO) -> int:
+    """Where the line of the first message begins, or the end of a file that has none."""
+    size = os.fstat(file.fileno()).st_size
+    if not size:
+        return 0
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        places = [text.find(word) for word in MESSAGE_WORDS]
+        first = min((place for place in places if place >= 0), default=size - END_BYTES)
+        return text.rfind(b"\n", 0, max(first, 0)) + 1
 
 
 class _Scan:
@@ -427,6 +444,8 @@ FATAL = re.compile(
     r"|\*ERROR\s+\d+\s*:|\^{3}\s.*\bFATAL\b)"
 )
 NEXT_MESSAGE = re.compile(r"^[01+ ]?\s{0,12}(?:\*{3} |\^{3} |\*ERROR|\*WARNING|\*INFORMATION)")
+#: One of these is in each, and the end of a file that has whether its run ended.
+MESSAGE_WORDS, END_BYTES = (b"FATAL", b"*ERROR"), 1 << 16
 #: A message is a few lines; anything longer is a table that follows it.
 LONGEST = 20
 

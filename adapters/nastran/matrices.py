@@ -7,41 +7,52 @@ are not zero, as unformatted records of Fortran: the time of the run, the number
 row, column and value of each. Which row is which component of which grid point the table of degrees
 of freedom (TDOF) says, which PARAM,PRTDOF prints after each round of AUTOSPC; the last one holds.
 
+MYSTRAN would then factorise them and look for modes, half of its time and of its memory. It has no
+request to stop there, but partitions matrices for OUTPUT4 right after it has written its own files,
+and stops where the partitioning vector names a grid point that the deck does not have.
+
 The degrees of freedom of the M set depend on others (MPC, RBE2, RBE3): u_M = GMN u_N, and those of
 the N set are rows of KLL or held.
 """
 
 from __future__ import annotations
 
-import io
+import mmap
 import re
-from collections.abc import Collection, Iterable
-from dataclasses import replace
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from modetune.adapters.cross_checks import SPARE_EIGENVALUE
 from modetune.adapters.nastran.dialect import JOB
 from modetune.adapters.regular_file import open_regular
-from modetune.core.algebra.matrices import DependentDofs, MatrixResult, upper_triangle
+from modetune.core.algebra.matrices import DependentDofs, MatrixResult
 from modetune.core.errors import NoResult
 from modetune.core.modes import Integers
 
-#: Executive statement that keeps the files, and the parameter that prints the table.
-KEEP, PRINT_TABLE = "CHKPNT", "PARAM,PRTDOF,1"
+#: Name of the vector that stops a run, the statements that keep the files and call for it, and the
+#: parameter that prints the table.
+STOP = "MODETUNE"
+KEEP_AND_STOP = ("CHKPNT", "OUTPUT4 KLL,,,,//-1/21", f"PARTN KLL,{STOP},{STOP}")
+PRINT_TABLE = "PARAM,PRTDOF,1"
+#: Its last message then.
+STOPPED = re.compile(rf"\bPARTVEC\b.*\b{STOP}\b")
 #: Files of KLL, MLL and GMN; there is no last one without dependent degrees of freedom.
 STIFFNESS, MASS, DEPENDENT = f"{JOB}.L2G", f"{JOB}.L2I", f"{JOB}.L2A"
 #: One entry between the marks of its record.
 ENTRY = np.dtype(
     [("begin", "<i4"), ("row", "<i4"), ("column", "<i4"), ("value", "<f8"), ("end", "<i4")]
 )
+#: Entries read at once.
+ENTRIES_AT_ONCE = 1 << 20
 #: The heading of the table, and a row: a grid point (blank for its other components), a component,
 #: the same by internal numbers, and the place in 14 sets.
-HEADING = "DEGREE OF FREEDOM TABLE SORTED ON GRID POINT (TDOF)"
-ROW = re.compile(r" *\d*-\d +\d*-\d ")
+HEADING = b"DEGREE OF FREEDOM TABLE SORTED ON GRID POINT (TDOF)"
+ROW = re.compile(rb"^ *\d*-\d +\d*-\d .*$", re.MULTILINE)
+TOTAL = b"\nTOTAL NUMBER OF DOF"
 #: Numbers of a row: both grid points and components, and the places.
 IN_ROW = 18
 #: Columns of the table: node, component, and the sets that count.
@@ -54,11 +65,8 @@ def read_restart(folder: Path, print_file: str, grids: Collection[int]) -> Matri
     grids: grid points that the deck has at least.
     """
     try:
-        with (
-            open_regular(folder / print_file) as file,
-            io.TextIOWrapper(file, encoding="latin-1", newline="\n") as lines,
-        ):
-            table = _last_table(lines)
+        with open_regular(folder / print_file) as file:
+            table = _last_table(file)
         strange = sorted(set(grids) - set(table[:, NODE].tolist()))
         if strange:
             raise ValueError(
@@ -67,43 +75,32 @@ def read_restart(folder: Path, print_file: str, grids: Collection[int]) -> Matri
             )
         kept = _members(table, IN_L)
         size = kept.shape[0]
-        stiffness, mass = (_matrix(folder / name, size, size) for name in (STIFFNESS, MASS))
         if table[:, [IN_O, IN_R]].any():
             raise ValueError("matrices of a reduced model (OMIT, ASET or SUPORT)")
-        dependent = _dependent(folder / DEPENDENT, table)
-        # Unknowns that let it find all modes of a small model are not the model's.
-        spare = stiffness.diagonal() >= 0.5 * SPARE_EIGENVALUE * mass.diagonal()
-        own = np.flatnonzero(~spare | (mass.diagonal() == 0.0))
-        if dependent is not None:
-            dependent = replace(dependent, matrix=sparse.csr_array(dependent.matrix[:, own]))
         return MatrixResult(
-            upper_triangle(sparse.csr_array(stiffness[own][:, own])),
-            upper_triangle(sparse.csr_array(mass[own][:, own])),
-            kept[own, NODE],
-            kept[own, COMPONENT],
-            dependent,
+            _matrix(folder / STIFFNESS, size, size, upper=True),
+            _matrix(folder / MASS, size, size, upper=True),
+            kept[:, NODE],
+            kept[:, COMPONENT],
+            _dependent(folder / DEPENDENT, table),
         )
     except (OSError, ValueError, IndexError) as error:
         raise NoResult(f"the matrices of the MYSTRAN run in {folder}: {error}") from error
 
 
-def _last_table(lines: Iterable[str]) -> Integers:
+def _last_table(file: BinaryIO) -> Integers:
     """The last table of degrees of freedom, (n_dof, 16). Raises ValueError where there is none."""
-    rows, inside = list[str](), False
-    for line in lines:
-        if inside and ROW.match(line):
-            rows.append(line)
-        elif HEADING in line:
-            rows, inside = [], True  # the table before it no longer holds
-        elif inside and line.startswith("TOTAL NUMBER OF DOF"):
-            inside = False
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as printed:
+        first = printed.rfind(HEADING)
+        last = printed.find(TOTAL, max(first, 0))
+        rows = ROW.findall(printed[first:last]) if 0 <= first < last else []
     # Components other than a grid point's first have no number of it.
-    text = " ".join(
-        row.replace("-", " 0 " if row.lstrip().startswith("-") else " ") for row in rows
+    text = b" ".join(
+        row.replace(b"-", b" 0 " if row.lstrip().startswith(b"-") else b" ") for row in rows
     )
-    whole = not re.search(r"[^\d\s]", text)
+    whole = not re.search(rb"[^\d\s]", text)
     numbers: Integers = np.fromstring(text if whole else "", dtype=np.int64, sep=" ")
-    if not rows or inside or numbers.size != IN_ROW * len(rows):
+    if not rows or numbers.size != IN_ROW * len(rows):
         raise ValueError("the table of its degrees of freedom is missing or not whole")
     table = numbers.reshape(-1, IN_ROW)
     if (table[:, 1] != table[:, 3]).any():  # a row lacks a number that another has too many
@@ -121,17 +118,25 @@ def _members(table: Integers, column: int) -> Integers:
     return found
 
 
-def _matrix(path: Path, n_rows: int, n_columns: int) -> sparse.csr_array:
-    """A matrix of one file. Raises OSError, ValueError."""
+def _matrix(path: Path, n_rows: int, n_columns: int, upper: bool = False) -> sparse.csr_array:
+    """A matrix of one file, or its upper triangle. Raises OSError, ValueError."""
+    kept = list[tuple[NDArray[Any], ...]]()
     with open_regular(path) as file:
         head: NDArray[np.int32] = np.fromfile(file, "<i4", 6)
-        count = int(head[4]) if head.size == 6 else -1
-        entries = np.fromfile(file, ENTRY, max(count, 0))
-    marks = (entries["begin"] == 16) & (entries["end"] == 16)
-    if count != entries.size or not marks.all() or (head[[0, 2, 3, 5]] != 4).any():
+        whole = head.size == 6 and not (head[[0, 2, 3, 5]] != 4).any()
+        left = int(head[4]) if whole else 0
+        while left and whole:
+            entries = np.fromfile(file, ENTRY, min(left, ENTRIES_AT_ONCE))
+            left -= entries.size
+            whole = bool(entries.size and ((entries["begin"] == 16) & (entries["end"] == 16)).all())
+            own = entries[entries["row"] <= entries["column"]] if upper else entries
+            kept.append((own["value"].copy(), own["row"] - 1, own["column"] - 1))
+    if not whole:
         raise ValueError(f"{path.name} is not whole")
-    places = entries["row"] - 1, entries["column"] - 1
-    return sparse.csr_array((entries["value"], places), shape=(n_rows, n_columns))
+    if not kept:
+        return sparse.csr_array((n_rows, n_columns))
+    values, rows, columns = map(np.concatenate, zip(*kept, strict=True))
+    return sparse.csr_array((values, (rows, columns)), shape=(n_rows, n_columns))
 
 
 def _dependent(path: Path, table: Integers) -> DependentDofs | None:

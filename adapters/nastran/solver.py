@@ -18,7 +18,7 @@ from modetune.adapters.nastran.design import mode_derivatives, read_dscm2
 from modetune.adapters.nastran.dialect import DECK, DIALECTS, Dialect, DialectName
 from modetune.adapters.nastran.f06 import F06, FatalMessage, read_f06
 from modetune.adapters.nastran.job import job_text
-from modetune.adapters.nastran.matrices import read_restart
+from modetune.adapters.nastran.matrices import STOPPED, read_restart
 from modetune.adapters.nastran.model import EditedNastran, NastranModel, understand
 from modetune.adapters.nastran.op2 import read_op2
 from modetune.adapters.nastran.results import completed, modal_result
@@ -112,7 +112,7 @@ class NastranProgram:
     def read(
         self, deck: EditedNastran, analysis: Analysis, folder: Path, return_code: int
     ) -> Result:
-        printed = self._judged(deck, folder, return_code)
+        printed = self._judged(deck, analysis, folder, return_code)
         try:
             if isinstance(analysis, SensitivityAnalysis):
                 at = [deck.values.get(name, 1.0) for name in analysis.parameters]
@@ -126,19 +126,25 @@ class NastranProgram:
         except (ValueError, ModesError) as error:
             raise NoResult(f"the {self.dialect.title} run in {folder} left {error}") from error
 
-    def _judged(self, edited: EditedNastran, folder: Path, return_code: int) -> F06:
+    def _judged(
+        self, edited: EditedNastran, analysis: Analysis, folder: Path, return_code: int
+    ) -> F06:
         """What the run printed, if it came to its end; its return code may be 0 in any case.
+
+        A run for matrices has come to its end where it was made to stop.
 
         Raises LicenceDenied, SolverRejected, SolverExhausted or SolverCrashed.
         """
         title = self.dialect.title
-        printed = _read_if_there(folder / self.dialect.print_file, tables=True)
+        matrices = isinstance(analysis, MatrixAnalysis)
+        printed = _read_if_there(folder / self.dialect.print_file, tables=not matrices)
         # What MYSTRAN finds wrong it says in its error file too, and sometimes only there.
         errors = [
             _read_if_there(folder / name, False) for name in self.dialect.logs if "ERR" in name
         ]
         fatal = [m for file in (printed, *errors) if file for m in file.fatal_messages]
-        if printed and printed.ended and not fatal:
+        others = [m for m in fatal if not (matrices and STOPPED.search(m.text))]
+        if printed and not others and (printed.ended or fatal):
             return printed
         refusal = licence_refusal(folder)
         if refusal:

@@ -202,14 +202,25 @@ def test_a_deck_that_is_reduced_has_no_matrices_of_parameters(tmp_path: Path) ->
     assert not mystran_solver(path, ()).deck.summary.matrix_shapes
 
 
+def test_mystran_stops_where_it_has_written_the_matrices(tmp_path: Path) -> None:
+    site = site_of("bracket", tmp_path)
+    site.matrices()
+    site.modal(3)
+    stopped, whole = (
+        (folder / MYSTRAN.print_file).read_text() for folder in sorted(site.folder.iterdir())
+    )
+    assert "E I G E N V A L U E" in whole
+    assert "E I G E N V A L U E" not in stopped
+
+
 @pytest.mark.parametrize("damage", ["table", "entries", "marks", "missing"])
 def test_files_that_are_not_whole_are_no_matrices(damage: str, tmp_path: Path) -> None:
     site = site_of("plate", tmp_path)
     site.matrices()
     (folder,) = site.folder.iterdir()
     if damage == "table":
-        text = (folder / MYSTRAN.print_file).read_text()
-        (folder / MYSTRAN.print_file).write_text(text[: text.rindex(HEADING) + 1500])
+        text = (folder / MYSTRAN.print_file).read_bytes()
+        (folder / MYSTRAN.print_file).write_bytes(text[: text.rindex(HEADING) + 1500])
     elif damage == "missing":
         (folder / "job.L2A").unlink()
     else:
