@@ -3,7 +3,7 @@
     job.json        what is asked: analysis, number of modes, rows of the shapes, group names
     stiffness.npz   the assembled matrices at the job's parameter values
     mass.npz
-    group0.npz ...  the stiffness of each group whose strain energies are asked for
+    groups.npz      the stiffness of each group with strain energies, one below another
     result.npz      the answer, written aside and renamed
 
 The last line the program prints is its closing mark; what the matrices do not allow is a line
@@ -70,9 +70,10 @@ def write_job(model: MatrixModel, factors: Factors, analysis: Analysis, folder: 
         rows = seen.tolist()
         order = seen[np.lexsort((model.components[seen], model.nodes[seen]))].tolist()
         n_modes, n_groups = analysis.n_modes, len(analysis.groups)
-        for number, (_, names) in enumerate(analysis.groups):
-            group = model.group_stiffness(names, factors)
-            sparse.save_npz(folder / f"group{number}.npz", group, compressed=False)
+        if n_groups:
+            groups = [model.group_stiffness(names, factors) for _, names in analysis.groups]
+            stacked = sparse.vstack(groups, format="csr")
+            sparse.save_npz(folder / "groups.npz", stacked, compressed=False)
     job = {"n_modes": n_modes, "rows": rows, "order": order, "n_groups": n_groups}
     (folder / JOB).write_text(json.dumps(job))
 
@@ -194,8 +195,12 @@ def _solved(
             f"the stiffness matrix has a negative eigenvalue ({eigenvalues[0]:.3e}): no structure "
             "is like that; look at the parts' matrices and the parameters' bounds"
         )
-    groups = [_load(folder, f"group{number}") for number in range(n_groups)]
-    of_groups = [0.5 * np.sum(shapes * (group @ shapes), axis=0) for group in groups]
+    of_groups = list[Floats]()
+    if n_groups:
+        groups = _load(folder, "groups")
+        for first in range(0, groups.shape[0], shapes.shape[0]):
+            forces = groups[first : first + shapes.shape[0]] @ shapes
+            of_groups.append(0.5 * np.sum(shapes * forces, axis=0))
     return {
         "eigenvalues": eigenvalues,
         "mode_shapes": shapes[rows],
