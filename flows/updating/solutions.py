@@ -395,7 +395,7 @@ class Solutions:
         try:
             if known is not None and count:
                 self._newest = self._factors = None
-                with self.engine.all_cores(beside):
+                with self.engine.all_cores(beside), one_thread():
                     known = self._solver.counted(here.upper_stiffness, here.upper_mass, known)
             if known is None:
                 known = self._solved(item, start, here, count, beside)[1]
@@ -422,7 +422,7 @@ class Solutions:
         shapes from memory and replaces the factors.
         """
         self._newest = None
-        with self.engine.all_cores(beside):
+        with self.engine.all_cores(beside), one_thread():
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass
@@ -455,7 +455,7 @@ class Solutions:
                 start = self._beginning(around.of)
                 assert start.factors is not None
                 factors, previous = start.factors, start.basis
-            with self.engine.all_cores():
+            with self.engine.all_cores(), one_thread():
                 self._hold(factors)
                 made = reduce(
                     self.model.matrices,
