@@ -459,9 +459,9 @@ class Evaluator:
             except UNFIT as error:
                 self.only.finder = self.only.finder.instead(error)
 
-    def matrix(self, number: int, evaluation: Evaluation) -> Matrix:
+    def matrix(self, title: str, evaluation: Evaluation) -> Matrix:
         """Return the sensitivity at an evaluated point."""
-        return self._matrix(f"iteration {number}", evaluation, {})
+        return self._matrix(title, evaluation, {})
 
     def by_energies(self, evaluation: Evaluation) -> Floats:
         """Return rows of frequencies (n_frequencies, n_parameters) from strain energies, without a

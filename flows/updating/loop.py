@@ -261,7 +261,8 @@ class Trials:
         """Return the matrix of the step from a state; compute it if there is none."""
         if state.matrix is None:
             self.watcher.working(f"iteration {self.number}: sensitivities")
-        self.newest = state.matrix or self.evaluator.matrix(self.number, state.current)
+        title = f"iteration {self.number}"
+        self.newest = state.matrix or self.evaluator.matrix(title, state.current)
         return self.newest
 
     def step(self, compute: Callable[[], Step]) -> Step:

@@ -23,8 +23,10 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -72,7 +74,10 @@ from modetune.flows.updating.sensitivities import UnlikeMatrices
 from modetune.flows.updating.step import objective, objective_slopes
 
 logger = logging.getLogger(__name__)
+T = TypeVar("T")
 
+#: The title of the searches' work.
+STARTS = "starts"
 #: Increase this number when the same models give other ends.
 VERSION = 1
 #: Number of starts, including the campaign's own.
@@ -358,15 +363,13 @@ class SurrogateMisfit(Misfit):
         self.upper = np.log(own.upper)
 
     def value(self, x: Floats) -> float:
-        values = (self._value(found) for found, _ in self._found(x, alone=True))
-        return min(values, default=np.inf)
+        return self._value(self.evaluation(x))
 
     def sample(self, x: Floats) -> MisfitAt | None:
-        found = self._found(x, alone=False)
-        if not found:
+        best = self.evaluation(x)
+        matrix = best and _unless_failed(partial(self.evaluator.matrix, STARTS, best))
+        if not (best and matrix):
             return None
-        best, matrix = min(found, key=lambda item: self._value(item[0]))
-        assert matrix is not None
         gradient, curvature = objective_slopes(
             self.campaign, best.theta, best.residual, matrix.values, self.factor
         )
@@ -375,23 +378,24 @@ class SurrogateMisfit(Misfit):
 
     def evaluation(self, x: Floats) -> Evaluation | None:
         """Return the evaluation at a point with the pairs that have the lowest misfit."""
-        found = self._found(x, alone=True)
-        return min((item for item, _ in found), key=self._value) if found else None
+        at = partial(self.evaluator.evaluate, STARTS, np.exp(x), alone=True)
+        tried = [_unless_failed(partial(at, previous=before)) for before in self.known]
+        return min((item[0] for item in tried if item), key=self._value, default=None)
 
     def _value(self, found: Evaluation | None) -> float:
         if found is None:
             return np.inf
         return objective(self.campaign, found.theta, found.residual, self.factor)
 
-    def _found(self, x: Floats, alone: bool) -> list[tuple[Evaluation, Matrix | None]]:
-        theta, found = np.exp(x), []
-        for before in self.known:
-            try:
-                found.append(self.evaluator.evaluate("starts", theta, before, alone))
-            except FAILED as error:
-                if isinstance(error, CAMPAIGNS_OWN):
-                    raise
-        return found
+
+def _unless_failed(compute: Callable[[], T]) -> T | None:
+    """Return what is computed at one point, None if that fails there only."""
+    try:
+        return compute()
+    except CAMPAIGNS_OWN:
+        raise
+    except FAILED:
+        return None
 
 
 class Lowest(Watcher):
@@ -753,7 +757,7 @@ def _served(state: CaseState) -> bool:
 
 def _in_full(evaluator: Evaluator, theta: Floats, known: Evaluation) -> Evaluation:
     """Return a point evaluated with the campaign's own modes. Raises as `Evaluator.evaluate`."""
-    (found,) = evaluator.points("starts", theta[None], [known])
+    (found,) = evaluator.points(STARTS, theta[None], [known])
     if not isinstance(found, Evaluation):
         raise found
     return found
