@@ -90,6 +90,7 @@ from modetune.core.measurement.measurement import MeasuredFrfs, TestGeometry
 from modetune.core.measurement.sensor_map import SensorMap
 from modetune.core.modes import Floats, MeasuredModes, ModeSet, mode_set
 from modetune.core.parameters import ParameterSet
+from modetune.core.storage.codec import are_alike
 from modetune.core.storage.sealed_file import HDF5, LONGEST_TITLE, RecordFile, title_of
 from modetune.core.surface import Surface
 from modetune.core.updating.parameter_fields import FieldAnswer
@@ -318,8 +319,7 @@ def write_record(path: Path, record: CampaignRecord) -> None:
 
 def is_same_run(record: CampaignRecord, written: CampaignRecord) -> bool:
     """Return whether a record differs from one that was read in the time of its end alone."""
-    timeless = (replace(item, ended_at=np.nan) for item in (_as_written(record), written))
-    return len({bytes(CAMPAIGN.sealed(item)) for item in timeless}) == 1
+    return are_alike(replace(_as_written(record), ended_at=written.ended_at), written)
 
 
 def _as_written(record: CampaignRecord) -> CampaignRecord:

@@ -164,6 +164,27 @@ def read_value(group: h5py.Group, kind: type[D]) -> D:
     return value
 
 
+def are_alike(one: Any, other: Any) -> bool:
+    """Return whether two values have the same content, NaN equal to NaN, without writing them."""
+    if is_dataclass(one):
+        names = [item.name for item in fields(one)]
+        return type(one) is type(other) and all(
+            are_alike(getattr(one, name), getattr(other, name)) for name in names
+        )
+    if isinstance(one, Mapping):
+        return other is not None and are_alike(tuple(one.items()), tuple(other.items()))
+    if isinstance(one, tuple):
+        return (
+            isinstance(other, tuple) and len(one) == len(other) and all(map(are_alike, one, other))
+        )
+    if isinstance(one, sparse.csr_array):
+        ours, theirs = ((item.shape, item.indptr, item.indices, item.data) for item in (one, other))
+        return are_alike(ours, theirs)
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    return bool(one == other or (one != one and other != other))
+
+
 class _Form(Protocol):
     """How a group holds values of one type."""
 

@@ -19,7 +19,7 @@ from scipy import sparse
 
 from modetune.core.errors import ModesError, StoreDamaged
 from modetune.core.modes import Floats, Integers
-from modetune.core.storage.codec import COMPRESSED_BYTES, read_value, write_value
+from modetune.core.storage.codec import COMPRESSED_BYTES, are_alike, read_value, write_value
 
 
 class Colour(Enum):
@@ -191,6 +191,31 @@ def test_what_hdf5_cannot_hold_is_escaped(tmp_path: Path) -> None:
 def test_any_value_comes_back(tmp_path: Path, **values: Any) -> None:
     value = replace(tree(), **values)
     assert_same(through(value, tmp_path / "a.h5"), value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"text": "other"},
+        {"number": float("nan")},
+        {"colour": Colour.RED},
+        {"real": np.arange(6.0)},
+        {"either": np.array([1 - 2j])},
+        {"texts": ("a", "")},
+        {"leaves": ()},
+        {"last": LEAF},
+        {"last": Twig(1.0)},
+        {"named": {"x/y": 1.0, "z": 2.0}},
+        {"matrix": sparse.csr_array(np.eye(2, 3))},
+        {"maybe": LEAF},
+        {"perhaps": 0.0},
+    ],
+)
+def test_values_are_alike_if_no_field_differs(tmp_path: Path, change: dict[str, Any]) -> None:
+    changed = replace(tree(), **change)
+    assert are_alike(through(changed, tmp_path / "a.h5"), changed)
+    assert not are_alike(changed, tree())
+    assert not are_alike(tree(), changed)
 
 
 def without(name: str) -> Callable[[h5py.File], None]:
