@@ -44,8 +44,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from modetune.core.brief import brief
 from modetune.core.errors import CampaignError
@@ -204,7 +204,7 @@ class _Evidence:
         """Which parameters changed, of those that are tested."""
         window, p = self.window(night, windows), self.change.shape[2]
         own = np.abs(self.own[window, night])
-        changed = own > -ndtri(limit / (2.0 * p * self.counts[night]))
+        changed = own > -scipy.special.ndtri(limit / (2.0 * p * self.counts[night]))
         changed[int(np.argmin(self.probabilities[window, night, :p]))] = True
         return tuple(np.flatnonzero(changed).tolist())
 
@@ -298,7 +298,7 @@ class _Watch:
             sentence,
             changes,
             self.joint,
-            float(-ndtri(self.limit)),
+            float(-scipy.special.ndtri(self.limit)),
             changed,
             *lag,
             scatter,
@@ -385,7 +385,7 @@ class _Watch:
             slow = found.adjusted(slice(2, None)) if not learning else None
             least = min(single.min(), pair.min(), slow[night].min() if slow is not None else np.inf)
             if not learning:
-                self.joint[run] = -ndtri(min(max(least, 1e-300), 1.0 - 1e-16))
+                self.joint[run] = -scipy.special.ndtri(min(max(least, 1e-300), 1.0 - 1e-16))
                 self.evidence = found
             tests = np.flatnonzero(pair < self.limit)
             agree = tests.size and night and self._confirms(found, night - 1, found, night)

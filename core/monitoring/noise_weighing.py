@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc, logsumexp, multigammaln, stdtr
+import scipy
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.monitoring.night_noise import Contrast, NoiseLaw, Whitened
@@ -49,12 +49,12 @@ def learned_scatter(
             base
             + 0.5 * nu * r * np.log(prior)
             - 0.5 * (nu + degrees) * np.linalg.slogdet(both)[1]
-            + multigammaln(0.5 * (nu + degrees), r)
-            - multigammaln(0.5 * nu, r)
+            + scipy.special.multigammaln(0.5 * (nu + degrees), r)
+            - scipy.special.multigammaln(0.5 * nu, r)
         )
         covariances.append(both / (nu + degrees - r - 1))
         totals.append(nu + degrees)
-    weights = np.exp(np.array(logs) - logsumexp(logs))
+    weights = np.exp(np.array(logs) - scipy.special.logsumexp(logs))
     covariance = np.einsum("al,alij->ij", weights, np.array(covariances))
     each, total = weights.sum(axis=1), np.array(totals)
     return LearnedScatter(
@@ -135,14 +135,14 @@ def fit_law(
     rest = (r - 1) * (penalty - 0.5 * degrees[:, None] * np.log(np.maximum(across, floor)))
     error = (contrast.noise @ noise) / g**2
     size = np.sqrt(left / nu * learned.widened * error)
-    single = 2.0 * stdtr(nu, -np.abs(turned) / size)
+    single = 2.0 * scipy.special.stdtr(nu, -np.abs(turned) / size)
     total = np.maximum(
         np.trace(squares, axis1=1, axis2=2)[:, None] - g * np.sum(change**2, axis=1, keepdims=True),
         floor,
     )
     variance = (total / (nu * r)) * error[:, -r:]
     freedom = 1.0 / (1.0 / learned.freedom + 1.0 / (nu[:, 0] * r))
-    joint = fdtrc(r, freedom, np.sum(change**2 / variance, axis=1) / r)
+    joint = scipy.special.fdtrc(r, freedom, np.sum(change**2 / variance, axis=1) / r)
     return LawFit(own, rest if r > 1 else 0.0 * own, single, joint, change, variance)
 
 
@@ -153,8 +153,10 @@ def averaged(fits: list[LawFit], priors: Floats, p: int) -> tuple[Floats, Floats
     rest = np.array([fit.rest for fit in fits])
     single = np.array([fit.single for fit in fits])
     shared, apart = _normalised(own + rest), _normalised(own)
-    alone = logsumexp(own, axis=0) + logsumexp(rest + priors[:, None, None], axis=0)
-    alike = _probability_shared(logsumexp(own + rest, axis=0) - alone)
+    alone = scipy.special.logsumexp(own, axis=0) + scipy.special.logsumexp(
+        rest + priors[:, None, None], axis=0
+    )
+    alike = _probability_shared(scipy.special.logsumexp(own + rest, axis=0) - alone)
     if own.shape[2] == p + 1:  # one direction, which shares its law with none
         alike = np.zeros_like(alike)
     found = alike * np.sum(shared * single, axis=0) + (1.0 - alike) * np.sum(apart * single, axis=0)
@@ -162,7 +164,8 @@ def averaged(fits: list[LawFit], priors: Floats, p: int) -> tuple[Floats, Floats
     sums = np.sum(own[:, :, p:] - priors[:, None, None], axis=2) + priors[:, None]
     weights = _normalised(sums)
     alike_all = _probability_shared(
-        logsumexp(sums, axis=0) - logsumexp(own[:, :, p:], axis=0).sum(axis=1)
+        scipy.special.logsumexp(sums, axis=0)
+        - scipy.special.logsumexp(own[:, :, p:], axis=0).sum(axis=1)
     )
     joint = np.sum(weights * np.array([fit.joint for fit in fits]), axis=0)
     # Where each axis has its law, the least of their probabilities, times their number.
@@ -179,4 +182,4 @@ def _probability_shared(evidence: Floats) -> Floats:
 
 
 def _normalised(logs: Floats) -> Floats:
-    return np.asarray(np.exp(logs - logsumexp(logs, axis=0)))
+    return np.asarray(np.exp(logs - scipy.special.logsumexp(logs, axis=0)))

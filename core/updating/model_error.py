@@ -45,7 +45,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy.linalg import null_space
-from scipy.spatial.distance import cdist
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.parameter_steps import RANK_TOLERANCE
@@ -160,7 +159,7 @@ def _links(motions: Sequence[Floats], components: Sequence[Integers], lam: Float
     for group in alike.values():
         if len(group) > 1:
             flat = np.array([(motion / np.sqrt(lam)).ravel() for motion in group])
-            distances = cdist(flat, flat)
+            distances = scipy.spatial.distance.cdist(flat, flat)
             np.fill_diagonal(distances, np.inf)
             nearest = distances.argmin(axis=1).tolist()
             pairs = {(min(pair), max(pair)) for pair in enumerate(nearest)}

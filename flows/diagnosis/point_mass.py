@@ -22,7 +22,6 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 from scipy.linalg import eigh
-from scipy.special import betainc
 
 from modetune.core.modes import Floats, Integers
 from modetune.core.updating.job_results import ModalResult
@@ -82,7 +81,8 @@ def point_mass_findings(
     place, mass, left = best
     share = (left / size) ** 2
     n_nodes = min(nodes.size, INDEPENDENT)
-    if n_nodes * 0.5 * float(betainc(0.5 * (d - 1), 0.5, min(share, 1.0))) > CHANCE:
+    chance = float(scipy.special.betainc(0.5 * (d - 1), 0.5, min(share, 1.0)))
+    if n_nodes * 0.5 * chance > CHANCE:
         return
     unit, lacks = case.units.split("-")[1], mass > 0.0
     remedy = (

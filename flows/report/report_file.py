@@ -1,14 +1,12 @@
 """The report file of a run folder, whose failure never fails the campaign.
 
-A separate file, because importing the page with its charts takes a moment.
+A separate file, because importing the page with its charts and templates takes a moment.
 """
 
 from __future__ import annotations
 
 import logging
 from pathlib import Path
-
-from jinja2 import TemplateError
 
 from modetune.core.errors import ModetuneError
 from modetune.core.storage.campaign_record import CampaignRecord
@@ -27,7 +25,6 @@ FAILURES = (
     LookupError,
     MemoryError,
     RuntimeError,
-    TemplateError,
     TypeError,
     ValueError,
 )
@@ -35,11 +32,13 @@ FAILURES = (
 
 def draw_report(record: CampaignRecord, folder: Path) -> Path | None:
     """Write a run folder's report; return None with a warning on failure."""
+    from jinja2 import TemplateError
+
     try:
         from modetune.flows.report.page import write_page
 
         return write_page(record, folder / PAGE)
-    except FAILURES as error:
+    except (*FAILURES, TemplateError) as error:
         logger.warning(
             "the report of %s failed (%s: %s), but record and updated deck are complete; retry "
             "with `modetune report %s`",
