@@ -114,8 +114,8 @@ def run_as_flow(
 ) -> None:
     """Run a study as a flow of this process; the outcome is in what was handed to it.
 
-    name: of the run. A server that refuses the run before it
-    begins, or that is gone at its end, is no error.
+    parameters: as JSON. name: of the run. A server that refuses the run before it begins, or that
+    is gone at its end, is no error.
     """
     flow = find_flow(study)
     with suppress(Exception, Abort):  # the study's own errors are in the outcome
@@ -123,7 +123,7 @@ def run_as_flow(
             made = client.create_flow_run(
                 flow,
                 name=name,
-                parameters=flow.serialize_parameters(dict(parameters)),
+                parameters=dict(parameters),
                 tags=[TAG],
                 state=Pending(),
             )
