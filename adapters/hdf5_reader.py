@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from modetune.adapters.process import run_process
 from modetune.adapters.regular_file import largest
 from modetune.adapters.solver import Command
+from modetune.core.algebra.matrices import CSR
 from modetune.core.errors import ModelError, SolverError
 from modetune.core.modes import Floats
 
-CSR = ("data", "indices", "indptr")
 #: Deflate makes at most 1032 bytes of one; what says that it holds more than its file can is wrong.
 DEFLATE = 1032
 #: In place of a name: every array of numbers and every text, by its path, as MATLAB means it.

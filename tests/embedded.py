@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from modetune.adapters.matrices.job import run_job
+from modetune.adapters.matrices.program import run_job
 from modetune.adapters.process import JOB_DISK, LOG, Finished, run_process
 from modetune.adapters.solver import Command
 from tests.adapters.ccx_once import copied, files, keep, place_of

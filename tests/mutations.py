@@ -32,9 +32,10 @@ from modetune.adapters.calculix.results import read_messages, read_modal
 from modetune.adapters.calculix.solver import calculix_solver
 from modetune.adapters.command.settings import CommandSettings
 from modetune.adapters.command.solver import command_solver, read_results
-from modetune.adapters.matrices.job import CLOSING_MARK, RESULT, read_result, run_job, write_job
+from modetune.adapters.matrices.job import read_result, write_job
 from modetune.adapters.matrices.matrix_files import write_matrix
 from modetune.adapters.matrices.model import MatrixModel
+from modetune.adapters.matrices.program import CLOSING_MARK, RESULT, run_job
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.nastran.design import read_dscm2
 from modetune.adapters.nastran.dialect import DECK

@@ -1,8 +1,8 @@
-"""The embedded solver's program: solves the job in the folder it is started in."""
+"""`python -m modetune.adapters.matrices` is the embedded solver."""
 
 import sys
 from pathlib import Path
 
-from modetune.adapters.matrices.job import run_job
+from modetune.adapters.matrices.program import run_job
 
 sys.exit(run_job(Path.cwd(), sys.stdout))

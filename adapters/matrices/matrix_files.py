@@ -46,10 +46,11 @@ import numpy as np
 import scipy.io
 from scipy import sparse
 
-from modetune.adapters.hdf5_reader import CSR, DEFLATE, read_hdf5
+from modetune.adapters.hdf5_reader import DEFLATE, read_hdf5
 from modetune.adapters.matrices.dmig import BULK, Terms, arranged, one_of, read_dmig, united
 from modetune.adapters.regular_file import largest, open_regular, read_regular
 from modetune.core.algebra.factorisation import symmetric_matrix
+from modetune.core.algebra.matrices import CSR
 from modetune.core.errors import ModelError
 from modetune.core.modes import Floats, Integers
 from modetune.core.near_names import suggestion

@@ -16,6 +16,8 @@ from scipy import sparse
 
 from modetune.core.modes import Floats, Integers
 
+#: The arrays of a CSR matrix, by their names in SciPy and in files.
+CSR = ("data", "indices", "indptr")
 #: Rows of a projection that are multiplied at once, so that their product stays in the cache.
 ROWS_AT_ONCE = 16384
 #: Largest relative error of a stored entry: CalculiX writes 14 digits; other matrices are exacter.

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from modetune.adapters.matrices.job import CLOSING_MARK, RESULT
 from modetune.adapters.matrices.matrix_files import write_matrix
+from modetune.adapters.matrices.program import CLOSING_MARK, RESULT
 from modetune.adapters.matrices.solver import matrices_solver
 from modetune.adapters.process import run_process
 from modetune.adapters.solver import Analysis, Command, MatrixAnalysis, ModalAnalysis, Solver
