@@ -12,6 +12,8 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 from modetune.adapters import deck_files
@@ -30,7 +32,7 @@ PART = re.compile(r"(?:BULK\s*)?SUPER\s*=\s*0*([1-9]\d*)")
 LONGEST_NAME = 20
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NastranDeck:
     """A deck with its includes in place: its lines, and the cards of its bulk data.
 
@@ -52,7 +54,17 @@ class NastranDeck:
 
     def named(self, *names: str) -> list[NastranCard]:
         """All cards of these names, in order."""
-        return [card for card in self.cards if card.name in names]
+        found = [self._places.get(name, []) for name in set(names)]
+        places = found[0] if len(found) == 1 else sorted(chain.from_iterable(found))
+        return [self.cards[place] for place in places]
+
+    @cached_property
+    def _places(self) -> dict[str, list[int]]:
+        """Positions in cards of each name."""
+        places: dict[str, list[int]] = {}
+        for place, card in enumerate(self.cards):
+            places.setdefault(card.name, []).append(place)
+        return places
 
     def where(self, card: NastranCard) -> str:
         return self.lines[card.lines[0]].where

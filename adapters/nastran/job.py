@@ -192,7 +192,8 @@ def _bulk(
         out |= {"DMIG"}  # of loads and damping, or not selected
         deck = with_lines(model.deck, changed) if changed else model.deck
         bulk = cache(partial(model.bulk_at, dict(changed)))
-        return mystran_cards(deck, bulk, left_out, n_modes, model.masses() == "lumped")
+        lumped = model.masses() == "lumped"
+        return mystran_cards(deck, bulk, left_out, n_modes, lumped, model.mystran_texts)
     if model.deck.parts:  # in the numbers of the whole model
         deck = with_lines(model.deck, changed) if changed else model.deck
         return [large_card(deck, card) for card in deck.cards if not left_out(card)]

@@ -39,6 +39,7 @@ from modetune.adapters.nastran.harmless import (
 from modetune.adapters.nastran.loads import load_case
 from modetune.adapters.nastran.masses import lumped_properties
 from modetune.adapters.nastran.mesh import BARS, read_geometry
+from modetune.adapters.nastran.mystran.deck import Texts
 from modetune.adapters.nastran.places import (
     ValuePlace,
     affected_elements_of,
@@ -110,6 +111,11 @@ class NastranModel(Deck):
     def bulk(self) -> Bulk:
         """pyNastran's model of the deck, cross-referenced. It is shared: not to be changed."""
         return self.structure.bulk
+
+    @cached_property
+    def mystran_texts(self) -> Texts:
+        """Texts of cards that are the same in all jobs for MYSTRAN; `mystran_cards` adds them."""
+        return {}
 
     def check(self) -> None:
         """Raise ModelError for all cards that count for modes and are not understood.

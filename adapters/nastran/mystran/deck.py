@@ -34,6 +34,10 @@ COMPARED = frozenset({
     "MAT1", "MAT8", "RBE2", "RBE3", "RBAR", "RBAR1", "SPC", "SPC1", "SPCADD", "MPC", "MPCADD",
     "SPOINT", "MAT2", "CSHEAR", "PSHEAR", *ELEMENTS, *PROPERTIES,
 })  # fmt: skip
+#: Those of which large decks have most; what MYSTRAN reads depends on nothing else in the deck.
+MOST = frozenset({"GRID", "CQUAD4", "CTRIA3", "CHEXA", "CPENTA", "CTETRA"})
+#: Texts in large field by card and the card that fills its blanks.
+Texts = dict[tuple[NastranCard, NastranCard | None], str]
 #: Field of shells that says whether their thicknesses are relative.
 TFLAGS = {"CQUAD4": 10, "CTRIA3": 10}
 #: Fields of two lines in large field, as many as one in small field has.
@@ -50,18 +54,19 @@ def mystran_cards(
     deck: NastranDeck,
     bulk: Callable[[], Bulk],
     left_out: Callable[[NastranCard], bool],
-    n_modes: int = 0,
-    lumped: bool = False,
+    n_modes: int,
+    lumped: bool,
+    known: Texts,
 ) -> list[str]:
     """The deck's cards as MYSTRAN reads them, all in large field, without those it does without.
 
     bulk: gives pyNastran's model of the same deck, for cards of beams, shells, solids and bodies.
     n_modes: how many it must be able to find. lumped: whether the deck asks for lumped masses.
-    Blank fields that a GRDSET or BAROR fills are filled. Raises ModelError for all unsupported
-    cards, with their lines.
+    known: what earlier calls wrote for the same cards; new ones are added. Blank fields that a
+    GRDSET or BAROR fills are filled. Raises ModelError for all unsupported cards, with their lines.
     """
     scalars, unused = Scalars(deck), unused_properties(deck)
-    cards: list[Card] = list(scalars.grids())
+    cards: list[Card | str] = list(scalars.grids())
     problems: dict[str, list[str]] = {}
     defaults = {name: card for card in deck.cards if (name := DEFAULTS.get(card.name))}
     beams = BeamCards(bulk, scalars.new_number)
@@ -74,6 +79,10 @@ def mystran_cards(
     }
     frames = cache(lambda: output_frames(bulk()))
     for card in deck.cards:
+        key = card, defaults.get(card.name)
+        if text := known.get(key):
+            cards.append(text)
+            continue
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
         reason = _obstacle(card)
@@ -93,12 +102,15 @@ def mystran_cards(
         if reason:
             problems.setdefault(reason, []).append(deck.where(card))
             continue
-        fields = filled(card, defaults.get(card.name))
+        fields = filled(*key)
         if card.name in ("SPCADD", "MPCADD"):  # a set that is absent stops MYSTRAN
             members = members_of(deck, card)
             if not members:
                 continue
             fields = [card.text(1), *members]
+        if card.name in MOST:
+            cards.append(known.setdefault(key, _large(card.name, fields)))
+            continue
         cards += _written(card, fields, scalars)
     cards += (*beams.rest(), *solids.rest())
     if problems:
@@ -111,10 +123,12 @@ def mystran_cards(
         )
     if n_modes:
         cards += scalars.spare(n_modes)
-    return [
-        large_field(name, _paired(name, [_pointed(text) for text in fields]))
-        for name, fields in cards
-    ]
+    return [card if isinstance(card, str) else _large(*card) for card in cards]
+
+
+def _large(name: str, fields: list[str]) -> str:
+    """A card in large field. Raises ModelError where a field does not fit into it."""
+    return large_field(name, _paired(name, [_pointed(text) for text in fields]))
 
 
 def _pointed(text: str) -> str:
