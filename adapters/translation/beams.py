@@ -20,11 +20,13 @@ taper (Spacone, Filippou and Taucer 1996, without inelasticity). Its inverse K i
 K = L D L^T writes the energy as six squares. For a uniform beam these are Timoshenko's values
 (Przemieniecki 1968, section 5.6): E A / L, G J / L, E I / L and 12 E I / L^3 (1 + phi).
 
-The mass between two stations is one C3D8 without stiffness. Its eight integration points are two
-Gauss stations along the beam times the radii of gyration across it, and they move with the shape of
-the beam: the corners are tied to the straight line through the two stations. Mass, centre and
-inertia are exact, rotary inertia included; the width varies as the mass along the beam does. If the
-deck lumps masses, one C3D8 whose Gauss stations are the ends has the share of each end, with the
+The mass between two stations is two C3D8 without stiffness. The eight integration points of each
+are two Gauss stations along the beam times the radii of gyration across it, and they move with the
+shape of the beam: the corners are tied to the straight line through the two stations. Four stations
+integrate a uniform beam's consistent matrix exactly; the width varies as the mass along the beam
+does. A CBAR has the coupled matrix of the NASTRAN Theoretical Manual (section 5.2): cubic shapes,
+no rotary inertia, and along the bar 5/12 of the mass at each end and 1/12 between both. If the deck
+lumps masses, one C3D8 whose Gauss stations are the ends has the share of each end, with the
 torsional inertia of a CBEAM and no inertia about the other axes, as Nastran lumps it.
 """
 
@@ -271,8 +273,15 @@ NO_STIFFNESS = 1e-24
 BAR_TORSION = 0.01
 #: Where the two Gauss stations of a C3D8 are, in units of half its length.
 GAUSS = math.sqrt(1.0 / 3.0)
-#: Where masses of a half each have a coupled rod's axial matrix, in units of half its length.
-COUPLED = math.sqrt(2.0 / 3.0)
+#: Pairs of Gauss stations that integrate consistent masses exactly: distance from the middle in
+#: units of half a stretch, and the share of the mass that both have.
+CONSISTENT = (
+    (0.3399810435848563, 0.6521451548625461),
+    (0.8611363115940526, 0.3478548451374538),
+)
+#: Factors on the axial motion of stations apart from its mean that couple two ends by 1/12 of the
+#: mass: of a rod's two at the ends, and of a bar's at CONSISTENT, where linear motion has 1/6.
+COUPLED_ROD, COUPLED_BAR = math.sqrt(2.0 / 3.0), math.sqrt(2.0)
 #: Largest change of its width to an end: a beam whose mass ends in a point keeps a face there.
 SLOPE = 0.999
 
@@ -299,9 +308,8 @@ def translate_beams(model: Assembly) -> None:
             sets,
         )
         is_rod = element.type in RODS
-        for carrier in _carriers(beam, model.lumped or is_rod):
-            coupled = is_rod and not model.lumped
-            _add_mass(model, beam, _axially_coupled(carrier) if coupled else carrier, sets)
+        for carrier in _carriers(beam, is_rod, model.lumped):
+            _add_mass(model, beam, carrier, sets)
 
 
 def beam_of(element: Any, freedoms: Freedoms) -> Beam:
@@ -371,52 +379,84 @@ class Carrier:
     turning: Floats
 
 
-def _carriers(beam: Beam, lumped: bool) -> Iterator[Carrier]:
-    """Yield the carrier of the whole beam, or of each stretch with linear mass.
+def _carriers(beam: Beam, is_rod: bool, lumped: bool) -> Iterator[Carrier]:
+    """Yield the carriers of the whole beam, or of each stretch with linear mass.
 
-    Lumped masses are those of the ends, which twist and do not turn otherwise.
+    Lumped masses, and those of all rods, are at the ends, which twist and do not turn otherwise.
     """
-    section, turning = beam.section, np.array([beam.torsional_share, 1.0, 1.0])
-    for start, stop in [(0.0, 1.0)] if lumped else section.stretches:
-        ends = [section.mass(place) for place in (start, stop)]
-        mean, slope = 0.5 * (ends[0][0] + ends[1][0]), 0.0
-        gauss = [0.5 * (start + stop) + 0.5 * sign * GAUSS * (stop - start) for sign in (-1.0, 1.0)]
-        stations = tuple(section.mass(place) for place in gauss)
-        centres = ends[0][1], ends[1][1]
-        if lumped:
-            near, far = section.end_masses
-            if near + far:
-                slope = (far - near) / (near + far) / GAUSS
-            beyond = (1.0 - GAUSS) / (2.0 * GAUSS)  # the Gauss points are at the ends then
-            apart = beyond * (centres[1] - centres[0])
-            yield Carrier(
-                (-beyond, 1.0 + beyond),
-                GAUSS * (near + far),
-                slope,
-                (centres[0] - apart, centres[1] + apart),
-                (beam.carried[:6], beam.carried[6:]),
-                stations,
-                turning * [1.0, 0.0, 0.0],
-            )
-            continue
-        if mean:
-            slope = 0.5 * (ends[1][0] - ends[0][0]) / mean
-        near_shape, far_shape = (beam.station(place) @ beam.motion for place in gauss)
-        shapes = near_shape, far_shape
-        yield Carrier((start, stop), mean, slope, centres, shapes, stations, turning)
+    is_bar = beam.torsional_share == BAR_TORSION
+    turning = np.array([beam.torsional_share, 1.0, 1.0])
+    if lumped or is_rod:
+        first, last = beam.section.end_masses
+        mean = first + last
+        slope = (last - first) / mean if mean else 0.0
+        shapes = beam.carried[:6], beam.carried[6:]
+        yield _carrier(
+            beam.section,
+            (0.0, 1.0),
+            (1.0, mean, slope),
+            shapes if lumped else _coupled(shapes, COUPLED_ROD),
+            turning * [1.0, 0.0, 0.0],
+        )
+        return
+    if is_bar:
+        section = replace(beam.section, shear_1=0.0, shear_2=0.0)
+        beam, turning = replace(beam, section=section), turning * [1.0, 0.0, 0.0]
+    for start, stop in beam.section.stretches:
+        first, last = (beam.section.mass(place)[0] for place in (start, stop))
+        mean = 0.5 * (first + last)
+        slope = 0.5 * (last - first) / mean if mean else 0.0
+        # Four stations of a mass that ends in a point would need boxes turned inside out.
+        steep = abs(slope) * CONSISTENT[-1][0] > SLOPE * GAUSS
+        for station, share in ((GAUSS, 1.0),) if steep else CONSISTENT:
+            middle, reach = 0.5 * (start + stop), 0.5 * station * (stop - start)
+            near, far = (beam.station(middle + sign * reach) for sign in (-1.0, 1.0))
+            if is_bar:
+                near, far = _coupled((near, far), COUPLED_BAR)
+            shapes = near @ beam.motion, far @ beam.motion
+            masses = station, mean * share, slope
+            yield _carrier(beam.section, (start, stop), masses, shapes, turning)
 
 
-def _axially_coupled(carrier: Carrier) -> Carrier:
-    """Return a lumped rod's carrier with the mass matrix of PARAM,COUPMASS.
+def _carrier(
+    section: CrossSection,
+    stretch: tuple[float, float],
+    masses: tuple[float, float, float],
+    shapes: tuple[Floats, Floats],
+    turning: Floats,
+) -> Carrier:
+    """Return the carrier whose Gauss points are the two stations of a stretch.
 
-    Along the rod each end has 5/12 of the mass and 1/12 couples both, the mean of the consistent
-    matrix and the lumped one; across it the ends have a half each. MSC Nastran's eight frequencies
-    of a ten-bar truss follow from it to five digits.
+    masses: the stations' distance from the middle in units of half the stretch, what both have of
+    its mass, per length, and the change of its mass to an end as a share.
     """
-    near, far = (shape.copy() for shape in carrier.shapes)
-    own, other = 0.5 * (1.0 + COUPLED), 0.5 * (1.0 - COUPLED)
-    near[0], far[0] = own * near[0] + other * far[0], own * far[0] + other * near[0]
-    return replace(carrier, shapes=(near, far))
+    station, mass, slope = masses
+    middle, half = 0.5 * sum(stretch), 0.5 * (stretch[1] - stretch[0])
+    reach = station / GAUSS
+    centres = [section.mass(place)[1] for place in stretch]
+    apart = 0.5 * (reach - 1.0) * (centres[1] - centres[0])
+    return Carrier(
+        (middle - reach * half, middle + reach * half),
+        mass / reach,
+        slope * reach,
+        (centres[0] - apart, centres[1] + apart),
+        shapes,
+        tuple(section.mass(middle + sign * station * half) for sign in (-1.0, 1.0)),
+        turning,
+    )
+
+
+def _coupled(shapes: tuple[Floats, Floats], factor: float) -> tuple[Floats, Floats]:
+    """Return the shapes at two stations with the axial mass matrix of PARAM,COUPMASS.
+
+    Along a rod or bar each end has 5/12 of the mass and 1/12 couples both, the mean of the
+    consistent matrix and the lumped one; across a rod the ends have a half each. MSC Nastran's
+    eight frequencies of a ten-bar truss follow from it to five digits.
+    """
+    near, far = (shape.copy() for shape in shapes)
+    middle, half = 0.5 * (near[0] + far[0]), 0.5 * factor * (far[0] - near[0])
+    near[0], far[0] = middle - half, middle + half
+    return near, far
 
 
 def _add_mass(model: Assembly, beam: Beam, carrier: Carrier, sets: Sequence[str]) -> None:
