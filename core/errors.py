@@ -6,6 +6,7 @@
     ├── CampaignError            edit the campaign or the test data
     │   └── CampaignRunning      wait: another run of it is under way
     ├── ModelError               fix the model
+    │   └── TooManyModes         request fewer: the model has no more
     ├── ModesError               look at the modes
     ├── SolverError              look at the solver's log, try again
     │   ├── SolverMissing        install it
@@ -52,6 +53,14 @@ class CampaignRunning(CampaignError):
 
 class ModelError(ModetuneError):
     """The deck cannot be read, or lacks what was asked of it."""
+
+
+class TooManyModes(ModelError):
+    """A model has fewer modes than requested; available: how many its mass matrix allows."""
+
+    def __init__(self, requested: int, available: int, of: str = "") -> None:
+        super().__init__(f"{requested} modes were asked of a model with {available} unknowns{of}")
+        self.available = available
 
 
 class ModesError(ModetuneError):

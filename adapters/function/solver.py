@@ -30,7 +30,7 @@ from modetune.adapters.solver import (
     Rendered,
     Solver,
 )
-from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.eigen import available_modes
 from modetune.core.algebra.factorisation import symmetric_matrix
 from modetune.core.algebra.matrices import upper_triangle
 from modetune.core.algebra.repeated_modes import canonical_rotation
@@ -265,7 +265,7 @@ def _modes(found: Any, deck: FunctionDeck, analysis: ModalAnalysis) -> ModalResu
 def _solved(stiffness: Any, mass: Any, n_modes: int) -> tuple[Floats, Floats, Floats]:
     """Return eigenvalues, mass-normalised shapes and strain energies of the lowest modes."""
     K, M = symmetric_matrix(stiffness, "stiffness"), symmetric_matrix(mass, "mass")
-    eigenvalues, shapes = solve_modes(K, M, min(n_modes, K.shape[0]))
+    eigenvalues, shapes = available_modes(K, M, n_modes)
     shapes = shapes @ canonical_rotation(eigenvalues, shapes)
     return eigenvalues, shapes, matrix_energies(upper_triangle(K), shapes, GIVEN)
 

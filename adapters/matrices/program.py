@@ -24,7 +24,7 @@ from typing import TextIO
 import numpy as np
 from scipy import sparse
 
-from modetune.core.algebra.eigen import solve_modes
+from modetune.core.algebra.eigen import available_modes
 from modetune.core.algebra.factor_room import FactorRoom, factor_room, machine_memory
 from modetune.core.algebra.matrices import CSR, upper_triangle
 from modetune.core.algebra.mumps import FactorFiles
@@ -78,9 +78,8 @@ def _solved(
     order: list[int],
     n_groups: int,
 ) -> dict[str, Floats]:
-    # A small system has no more modes than unknowns, and a campaign requests spare ones.
-    n_modes = min(n_modes, stiffness.shape[0])
-    eigenvalues, shapes = solve_modes(stiffness, mass, n_modes)
+    # A small system has no more modes than its masses allow, and a campaign requests spare ones.
+    eigenvalues, shapes = available_modes(stiffness, mass, n_modes)
     shapes = shapes @ canonical_rotation(eigenvalues, shapes[order])
     energies = matrix_energies(upper_triangle(stiffness), shapes, GIVEN)
     if (2.0 * energies < -NEGATIVE * np.abs(eigenvalues).max()).any():
@@ -97,7 +96,7 @@ def _solved(
     return {
         "eigenvalues": eigenvalues,
         "mode_shapes": shapes[rows],
-        "strain_energies": np.array(of_groups).reshape(n_groups, n_modes),
+        "strain_energies": np.array(of_groups).reshape(n_groups, eigenvalues.size),
         "total_strain_energy": energies,
     }
 

@@ -49,6 +49,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -76,7 +77,7 @@ from modetune.core.algebra.pencil import (
     singular_together,
     triangle_product,
 )
-from modetune.core.errors import ModelError, SolverExhausted
+from modetune.core.errors import ModelError, SolverExhausted, TooManyModes
 from modetune.core.modes import Floats
 
 logger = logging.getLogger(__name__)
@@ -97,6 +98,8 @@ VECTORS, MORE_VECTORS = 8, 80
 ROUNDS = 4
 #: Largest residual from random vectors, whose modes hold some of any other; a block more.
 RANDOM_TOLERANCE = 2e-6
+#: Of the unknowns that give modes.
+WITH_MASS = " that have mass"
 #: The way of modes that an earlier model's factors led to.
 KEPT = "kept factors"
 #: Distance of eigenvalues, relative to that from the shift, below which they count as equal.
@@ -224,9 +227,7 @@ def solve_condensed(pencil: Pencil, n_modes: int) -> tuple[Floats, Floats]:
     inverted, vectors = eigh(root.T @ flexibility @ root)
     inverted, vectors = inverted[::-1][:n_modes], vectors[:, ::-1][:, :n_modes]
     if inverted.size < n_modes:
-        raise ModelError(
-            f"{n_modes} modes were asked of a model with {int(own.sum())} unknowns that have mass"
-        )
+        raise TooManyModes(n_modes, int(own.sum()), WITH_MASS)
     shapes = turned[:, own] @ (vectors / np.sqrt(squares[own])[:, None])
     return inverted, shapes
 
@@ -250,9 +251,7 @@ def _solve_inverted(k: Floats, m: Floats, n_modes: int, below: float) -> tuple[F
     if inverted[-1] < -1e-9 * inverted[0]:
         raise ModelError("the mass matrix has negative eigenvalues: it is not a mass matrix")
     if n_modes > with_mass:
-        raise ModelError(
-            f"{n_modes} modes were asked of a model with {with_mass} unknowns that have mass"
-        )
+        raise TooManyModes(n_modes, with_mass, WITH_MASS)
     kept = inverted[:n_modes]
     return 1.0 / kept - below, vectors[:, :n_modes] / np.sqrt(kept)
 
@@ -302,16 +301,13 @@ class ModeSolver:
         """
         size = int(stiffness.shape[0])
         if not 0 < n_modes <= size:
-            raise ModelError(f"{n_modes} modes were asked of a model with {size} unknowns")
+            raise TooManyModes(n_modes, size)
         count = self._count if count is None else count
         pencil = self._pencil_of(stiffness, mass, n_modes, count)
         if size <= DENSE or n_modes > size // 2:
             return self._whole(pencil, n_modes, shift)
         if n_modes > pencil.n_with_mass:
-            raise ModelError(
-                f"{n_modes} modes were asked of a model with {pencil.n_with_mass} unknowns that "
-                "have mass"
-            )
+            raise TooManyModes(n_modes, pencil.n_with_mass, WITH_MASS)
         if shift is None:
             kept = None if start is None else self._shift
             shift = estimate_shift(pencil) if kept is None else kept
@@ -333,6 +329,19 @@ class ModeSolver:
             if near is not None:
                 return near
         return self._from_random(pencil, n_modes, shift, count)
+
+    def solve_available(
+        self, stiffness: sparse.csr_array, mass: sparse.csr_array, n_modes: int, *search: Any
+    ) -> SolvedModes:
+        """Return the modes of `solve`, or all modes of a model that has fewer, and log that.
+
+        search: the other arguments of `solve`.
+        """
+        try:
+            return self.solve(stiffness, mass, n_modes, *search)
+        except TooManyModes as error:
+            logger.info("%s: all %d are used", error, error.available)
+            return self.solve(stiffness, mass, error.available)
 
     def counted(
         self, stiffness: sparse.csr_array, mass: sparse.csr_array, solved: SolvedModes
@@ -534,6 +543,16 @@ def solve_modes(
     upper = [upper_triangle(sparse.csr_array(a).astype(np.float64)) for a in (stiffness, mass)]
     solved = ModeSolver().solve(upper[0], upper[1], n_modes, shift)
     return solved.eigenvalues, solved.shapes
+
+
+def available_modes(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, n_modes: int
+) -> tuple[Floats, Floats]:
+    """Return the modes of `solve_modes`, or all modes of a model that has fewer."""
+    try:
+        return solve_modes(stiffness, mass, n_modes)
+    except TooManyModes as error:
+        return solve_modes(stiffness, mass, error.available)
 
 
 def _random_pairs(pencil: Pencil, n_modes: int) -> RitzPairs:

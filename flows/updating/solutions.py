@@ -204,17 +204,22 @@ class SearchStart:
 
 @dataclass(frozen=True, slots=True)
 class ReducedBasis:
-    """A reduced model and its basis (n, r); n_rigid: number of rigid modes; factors: its modes'."""
+    """A reduced model and its basis (n, r); factors: its modes', n_modes, n_rigid of them rigid."""
 
     of: ReducedAround
+    n_modes: int
     n_rigid: int
     factors: FactorsAt
     reduced: ReducedModel
     vectors: Floats
 
+    def available(self, n_modes: int) -> int:
+        """Return n_modes, or the number of all modes of a model that has fewer."""
+        return min(n_modes, self.n_modes) if self.n_modes < self.of.of.n_modes else n_modes
+
     def shapes(self, values: Floats, n_modes: int) -> tuple[Floats, Floats]:
         """Return eigenvalues (n_modes,) and shapes (n, n_modes). Raises ModesError."""
-        eigenvalues, combined = self.reduced.combinations(values, n_modes)
+        eigenvalues, combined = self.reduced.combinations(values, self.available(n_modes))
         return eigenvalues, self.vectors @ combined
 
 
@@ -426,7 +431,7 @@ class Solutions:
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass
-            return at_hand, self._solver.solve(
+            return at_hand, self._solver.solve_available(
                 *upper, item.n_modes, start.shift, start.shapes, kept, count
             )
 
@@ -472,7 +477,9 @@ class Solutions:
             reduced, vectors = made
             if vectors.nbytes > self.model.in_memory:
                 vectors = self.model.in_files(lambda folder: put_in_file(folder, vectors.T).T)
-            self._basis = ReducedBasis(around, found.n_rigid, factors, reduced, vectors)
+            self._basis = ReducedBasis(
+                around, solved.eigenvalues.size, found.n_rigid, factors, reduced, vectors
+            )
         return self._basis
 
     def _beginning(self, item: ModalSet) -> SearchStart:
@@ -689,7 +696,7 @@ class MatrixModes:
                     self._model.matrices,
                     values,
                     (begin.reduced, begin.vectors),
-                    analysis.n_modes,
+                    begin.available(analysis.n_modes),
                     begin.n_rigid,
                     observer,
                     accuracy,

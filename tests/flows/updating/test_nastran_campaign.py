@@ -7,6 +7,7 @@ import os
 import shutil
 from pathlib import Path
 from subprocess import CompletedProcess
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def updated(folder: Path) -> CampaignRecord:
-    from types import SimpleNamespace
-
     silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
     return update_campaign(load_campaign(folder / "shell.yaml"), folder / "run", silent).record
 
@@ -95,8 +94,6 @@ def test_a_twin_run_shows_how_far_calculix_stands_from_mystran(folder: Path) -> 
 
 @needs_mystran
 def test_the_same_campaign_updates_on_mystran(folder: Path) -> None:
-    from types import SimpleNamespace
-
     silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
     campaign = load_campaign(folder / "shell.yaml", ["model.solver=mystran"])
     record = update_campaign(campaign, folder / "mystran", silent).record
@@ -261,8 +258,6 @@ def test_selections_that_a_translation_would_lose_are_refused(tmp_path: Path) ->
 
 def test_a_very_thin_sheet_is_updated_by_its_matrices(tmp_path: Path, caplog: Any) -> None:
     # 1 mm thick at 125 mm of length: the unknowns are the shell's own, not those of two faces.
-    from types import SimpleNamespace
-
     silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
     campaign = load_campaign(
         sheet_campaign(tmp_path, sheet(".001")),
@@ -299,3 +294,38 @@ def test_masses_that_are_not_those_the_deck_asks_for_are_named_as_the_reason(
         assert [(item.level, item.where) for item in found] == (
             [("doubtful", "model.solver")] if said else []
         )
+
+
+@needs_mystran
+def test_a_frame_with_fewer_modes_than_requested_stays_on_its_matrices(
+    tmp_path: Path, caplog: Any
+) -> None:
+    # Two masses without inertia on massless bars: six modes, and as many are needed to pair three.
+    lines = [
+        "SOL 103\nCEND\nMETHOD = 1\nBEGIN BULK\nEIGRL,1,,,6\nMAT1,1,2.1E11,,.3",
+        "PBAR,1,1,1.E-4,2.E-8,1.E-8,2.E-8\nGRID,1,,0.,0.,0.,,123456",
+        "GRID,2,,.1,0.,.9\nGRID,3,,.7,.2,1.3\nGRID,4,,-.6,-.3,1.2",
+        *(f"CBAR,{i},1,{a},{b},.3,.5,.7" for i, a, b in ((1, 1, 2), (2, 2, 3), (3, 2, 4))),
+        "CONM2,5,3,,1.5\nCONM2,6,4,,.8\nENDDATA",
+    ]
+    (tmp_path / "fork.bdf").write_text("\n".join(lines) + "\n")
+    campaign = tmp_path / "campaign.yaml"
+    campaign.write_text(
+        "name: fork\nmodel: {deck: fork.bdf, solver: mystran, units: m-kg-s}\n"
+        "test: {modes: modes.csv}\nparameters:\n"
+        "  - {name: E, quantity: youngs_modulus, material: 1, bounds: [0.7, 1.4]}\n"
+    )
+
+    def write(frequencies: Any) -> None:
+        rows = ("mode,1,2,3", "frequency_hz," + ",".join(f"{hz:.9g}" for hz in frequencies))
+        (tmp_path / "modes.csv").write_text("\n".join(rows) + "\n")
+
+    write((1.7, 1.8, 4.4))  # replaced by the model's own
+    there = model_modes(load_campaign(campaign), {}).modes.frequencies_hz
+    assert there.size == 6
+    write(there[:3] * np.sqrt(1.2))
+    silent: Any = SimpleNamespace(working=lambda text: None, iteration=lambda record: None)
+    record = update_campaign(load_campaign(campaign), tmp_path / "run", silent).record
+    assert record.updated == pytest.approx([1.2], rel=1e-3)
+    assert "6 unknowns that have mass: all 6 are used" in caplog.text
+    assert "modes are the solver's own" not in caplog.text
