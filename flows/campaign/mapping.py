@@ -10,6 +10,7 @@ at a node is rigidly attached to the section of the bar next to it.
 
 A node that cannot move in the sensor's direction, such as the grounded end of a spring under the
 structure, is passed over for the next one that can, unless the test has no motion there either.
+Sensors whose node cannot move at all are left out, and named: they say nothing about the model.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class SensorRow:
     model_node: None where left out. distance: from that node; misfit: from the surface of a model
     that the test was fitted to; both in the model's length, NaN where unknown. direction: unit
     vector in the model's global axes, or in the node's where mapped by number. node_name: what a
-    deck with instances calls the node.
+    deck with instances calls the node. at_rest: left out, as neither its node nor the test moves.
     """
 
     test_node: int
@@ -95,6 +96,7 @@ class SensorRow:
     reason: str = ""
     misfit: float = float("nan")
     node_name: str = ""
+    at_rest: bool = False
 
     @property
     def sensor(self) -> str:
@@ -284,7 +286,7 @@ class _Mapper:
         places = np.full((at.size, 3), np.nan)
         found = at > 0
         places[found] = self.mesh.coordinates[self.mesh.rows(at[found])]
-        return self._mapping(table, axes, places, None, self._refused(table), nodes)
+        return self._mapping(table, axes, places, None, self._refused(table, nodes), nodes)
 
     def by_position(self, geometry: TestGeometry, laid: Laid) -> Mapping:
         """Map sensors to the nodes next to them, at the first pose; the others are alternatives."""
@@ -334,7 +336,7 @@ class _Mapper:
                 ]
             )
         notes = (*notes, *_passed_over(nodes), *self._attached(nodes))
-        notes += self._refused(table, notes)
+        notes += self._refused(table, nodes, notes)
         return self._mapping(table, turned, places, alignment, notes, nodes)
 
     def _attached(self, nodes: Nodes) -> list[str]:
@@ -506,9 +508,12 @@ class _Mapper:
         turned: the same in the axes of the results.
         """
         rows = []
-        for (point, component), direction, seen in zip(self.dofs, directions, turned, strict=True):
+        for (point, component), direction, seen, rests in zip(
+            self.dofs, directions, turned, self._at_rest(), strict=True
+        ):
             mapped = nodes[point, component]
-            missing = mapped.missing or self._not_computed(component, seen)
+            held = self._held(mapped, point, component)
+            missing = mapped.missing or held or self._not_computed(component, seen)
             verdict: Verdict = "left out" if missing else "doubtful" if mapped.doubts else "good"
             rows.append(
                 SensorRow(
@@ -520,6 +525,7 @@ class _Mapper:
                     verdict,
                     missing or "; ".join((*self._reason(mapped), *mapped.doubts)),
                     node_name="" if missing else self.mesh.names.get(mapped.node, ""),
+                    at_rest=bool(held) and rests,
                 )
             )
         return tuple(rows)
@@ -532,6 +538,13 @@ class _Mapper:
         passed = f"the nearest node, {mapped.passed}, is fixed in this direction"
         return [passed] * bool(mapped.passed)
 
+    def _held(self, mapped: MappedNode, point: int, component: int) -> str:
+        """Return why a sensor's node has no motion in the model; "" if it has, or is matched."""
+        axes = {1, 2, 3} if component <= 3 else {4, 5, 6}
+        free = mapped.section is not None or point in self.match
+        held = not free and axes <= set(self.fixed.get(mapped.node, ()))
+        return f"node {mapped.node} cannot move in the model" if held else ""
+
     def _not_computed(self, component: int, direction: Floats) -> str:
         """Return why the model's results do not show a sensor's motion; "" where they do."""
         first = 1 if component <= 3 else 4
@@ -540,29 +553,42 @@ class _Mapper:
         named = ", ".join(COMPONENTS[axis - 1] for axis in lost)
         return f"the model's results have no {named}" if lost else ""
 
-    def _refused(self, table: tuple[SensorRow, ...], notes: Iterable[str] = ()) -> tuple[str, ...]:
-        """Return a sentence about sensors without a node, where they may be left out.
+    def _refused(
+        self, table: tuple[SensorRow, ...], nodes: Nodes, notes: Iterable[str] = ()
+    ) -> tuple[str, ...]:
+        """Return sentences about the sensors that are left out.
 
         Raises CampaignError with them, and possible causes, unless they may be left out and some
         sensors remain.
         """
         reasons: dict[str, None] = {}
-        for row in table:
-            if row.verdict == "left out":
+        held: list[str] = []
+        for row, sensor in zip(table, self.dofs, strict=True):
+            if not nodes[sensor].missing and self._held(nodes[sensor], *sensor):
+                held.append(dof_name(sensor))
+            elif row.verdict == "left out":
                 turns = len(row.component) == 2
                 name = f"{row.test_node}.{row.component}" if turns else f"{row.test_node}"
                 reasons.setdefault(f"sensor {name}: {row.reason}")
+        remain = any(row.verdict != "left out" for row in table)
+        still: tuple[str, ...] = ()
+        if held:
+            more = f" and {len(held) - REASONS} more" if len(held) > REASONS else ""
+            named = ", ".join(held[:REASONS]) + more
+            count = "1 sensor" if len(held) == 1 else f"{len(held)} sensors"
+            still = (f"left out: {count} at nodes that cannot move in the model: {named}",)
+            if not remain and not reasons:
+                raise CampaignError([f"{still[0]}; no other sensor remains", *notes])
         if not reasons:
-            return ()
+            return still
         count = "1 sensor is" if len(reasons) == 1 else f"{len(reasons)} sensors are"
         text = (
             f"{count} without a node in the model (tolerance {self.length(self.tolerance)}): "
             + "; ".join([*reasons][:REASONS])
             + (f"; and {len(reasons) - REASONS} more" if len(reasons) > REASONS else "")
         )
-        remain = any(row.verdict != "left out" for row in table)
         if self.settings.unmapped == "leave_out" and remain:
-            return (f"left out: {text}",)
+            return (*still, f"left out: {text}")
         ways = []
         if self.settings.by == "position" and self.modes.n_dof:
             if self._can_attach and not self.settings.attach:

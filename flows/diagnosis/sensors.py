@@ -54,7 +54,7 @@ def sensor_findings(campaign: Campaign, said: str = "") -> Iterator[Finding]:
     yield from (_of_note(note) for note in (*campaign.case.measurement.notes, *mapping.notes))
     yield from uncertain
     yield from _by_reason(mapping.doubtful)
-    yield from _by_reason(mapping.left_out, "left out: ")
+    yield from _by_reason(tuple(row for row in mapping.left_out if not row.at_rest), "left out: ")
     if mapping.alignment is not None:
         nodes, unit = np.unique(mapping.sensors.model_nodes).size, mapping.unit
         furthest = float(mapping.sensors.distances.max())

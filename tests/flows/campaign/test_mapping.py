@@ -538,6 +538,7 @@ def test_the_table_and_its_json_tell_the_same() -> None:
         "test_node": 202, "component": "z", "model_node": None, "distance": 60.0,
         "direction": [0.0, 0.0, 1.0], "verdict": "left out",
         "reason": "the nearest node, 3, is 60 mm away", "misfit": None, "node_name": "",
+        "at_rest": False,
     }  # fmt: skip
     assert told["alignment"]["residual_rms"] is None
 
@@ -622,17 +623,47 @@ def test_fixed_components_are_in_the_axes_of_the_nodes_results() -> None:
     assert found.sensors.model_nodes.tolist() == [23, 22, 33]
 
 
-def test_a_sensor_at_rest_is_read_at_the_fixed_node() -> None:
+def test_a_sensor_at_rest_on_a_node_that_cannot_move_is_left_out_and_named() -> None:
     found = on_plate(CLAMPED, np.array([[1e-3], [0.0], [1.0]]), tolerance=120.0)
+    assert found.sensors.model_nodes.tolist() == [33]
+    assert [row.at_rest for row in found.table] == [True, True, False]
+    assert found.notes[-1] == (
+        "left out: 2 sensors at nodes that cannot move in the model: 201.x, 201.z"
+    )
+
+
+def test_a_sensor_at_rest_is_read_at_a_node_that_is_fixed_in_its_direction_alone() -> None:
+    still = np.array([[1e-3], [0.0], [1.0]])
+    found = on_plate({23: frozenset((1, 2))}, still, tolerance=120.0)
     assert found.sensors.model_nodes.tolist() == [23, 23, 33]
     assert not any("fixed" in note for note in found.notes)
 
 
 def test_a_fixed_node_is_doubtful_where_none_within_the_tolerance_can_move() -> None:
-    found = on_plate(CLAMPED, MOVING, tolerance=50.0)
+    found = on_plate({23: frozenset((1, 3))}, MOVING, tolerance=50.0)
     assert found.sensors.model_nodes.tolist() == [23, 23, 33]
     assert [row.verdict for row in found.table] == ["doubtful", "doubtful", "good"]
     assert "node 23 is fixed in this direction, as all within the toler" in found.table[1].reason
+
+
+def test_a_sensor_is_left_out_where_no_node_within_the_tolerance_can_move() -> None:
+    found = on_plate(CLAMPED, MOVING, tolerance=50.0)
+    assert found.sensors.model_nodes.tolist() == [33]
+    assert [row.verdict for row in found.table] == ["left out", "left out", "good"]
+    assert found.table[0].reason == "node 23 cannot move in the model"
+    assert not found.table[0].at_rest
+
+
+def test_sensors_by_number_on_grounded_nodes_are_left_out_and_named() -> None:
+    found = map_sensors(
+        sensors([22, 23, 23], [1, 1, 3]), None, plate(), section(), MM, fixed=CLAMPED
+    )
+    assert found.sensors.model_nodes.tolist() == [22]
+    assert found.notes == (
+        "left out: 2 sensors at nodes that cannot move in the model: 23.x, 23.z",
+    )
+    with pytest.raises(CampaignError, match=r"23\.x, 23\.z; no other sensor remains"):
+        map_sensors(sensors([23, 23], [1, 3]), None, plate(), section(), MM, fixed=CLAMPED)
 
 
 def test_nodes_that_the_user_names_are_taken_though_they_are_fixed() -> None:
