@@ -268,7 +268,7 @@ class NastranModel(Deck):
             mass = element.Mass() if whole > 0.0 else 0.0
             for material, share in parts if mass else ():
                 name = f"{material.type} {material.mid}"
-                found[name] = found.get(name, 0.0) + mass * share / whole
+                found[name] = found.get(name, 0.0) + self.wtmass * mass * share / whole
         return found
 
     def places(self, parameter: Parameter) -> list[ValuePlace]:

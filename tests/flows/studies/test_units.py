@@ -214,3 +214,13 @@ def test_masses_of_a_model_in_millinewtons_are_in_kilograms(tmp_path: Path) -> N
     deck.write_text(PIPE.format(units="PARAM,UNITSYS,MN-MM", young="2.1e8", density="7.85-6"))
     mass = sum(mystran_solver(deck, ()).deck.material_masses().values())
     assert mass * KILOGRAMS["mm-kg-s"] == pytest.approx(7850.0 * 0.3 * 100e-6)
+
+
+def test_masses_of_a_model_in_pounds_count_the_mass_factor(tmp_path: Path) -> None:
+    deck = tmp_path / "pipe.bdf"
+    pounds = PIPE.format(units="PARAM,WTMASS,.00259", young="3.e7", density=".283")
+    deck.write_text(pounds)
+    mass = sum(mystran_solver(deck, ()).deck.material_masses().values())
+    deck.write_text(PIPE.format(units="", young="3.e7", density=f"{0.283 * 0.00259:.6e}"))
+    same = sum(mystran_solver(deck, ()).deck.material_masses().values())
+    assert mass == pytest.approx(same, rel=1e-5)
