@@ -154,10 +154,11 @@ class Scalars:
         """Yield spare unknowns for a model that may have too few for `n_modes` modes."""
         if len(self._grids) + len(self.points) > MOST_GRIDS:
             return
-        stiffness = format_number(SPARE_EIGENVALUE * SPARE_MASS, 16)
         if not self._ground:
             yield self._held()
-        for _ in range(n_modes + MORE_UNKNOWNS):
+        for place in range(n_modes + MORE_UNKNOWNS):
+            # Each has its own eigenvalue: ARPACK may break off where many are equal.
+            stiffness = format_number((1.0 + 0.1 * place) * SPARE_EIGENVALUE * SPARE_MASS, 16)
             point = self.new_number()
             yield "GRID", [point, "", "0.", "0.", "0.", "", ALL[1:]]
             yield "CELAS2", [self.new_number(), stiffness, point, "1", self._ground, "1"]
