@@ -59,6 +59,9 @@ class TranslatedDeck(NastranModel):
     _kept: OrderedDict[tuple[tuple[int, str], ...], EditedCalculix] = field(
         default_factory=OrderedDict, repr=False, compare=False
     )
+    _affected: dict[tuple[Parameter, tuple[Parameter, ...]], AffectedElements | None] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
     _own: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
     _shells: list[WrittenShells] = field(default_factory=list, repr=False, compare=False)
@@ -90,8 +93,15 @@ class TranslatedDeck(NastranModel):
     def affected_elements(self, parameter: Parameter) -> AffectedElements | None:
         """Return the elements by the changes of the translated deck with the parameter.
 
-        Not every parameter that a Nastran model is linear in is so in its translation.
+        Not every parameter that a Nastran model is linear in is so in its translation. The answer
+        is kept, because it takes several translations.
         """
+        known = parameter, self.parameters
+        if known not in self._affected:
+            self._affected[known] = self._affected_by(parameter)
+        return self._affected[known]
+
+    def _affected_by(self, parameter: Parameter) -> AffectedElements | None:
         if damps_only(parameter, self.parameters):
             return NOTHING
         driven = driven_by(parameter, self.parameters)

@@ -167,6 +167,20 @@ def test_a_deck_is_read_and_understood_once(
     assert len(understood) == 1
 
 
+def test_what_parameters_affect_is_found_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moduli = [item for item in PARAMETERS if item.quantity == "youngs_modulus"]
+    solver = translated_solver(write_deck(tmp_path), tuple(PARAMETERS))
+    first = [solver.deck.affected_elements(item) for item in moduli]
+
+    def refused(*arguments: object) -> None:
+        raise AssertionError("the deck is translated again")
+
+    monkeypatch.setattr(TranslatedDeck, "_translate", refused)
+    assert [solver.deck.affected_elements(item) for item in moduli] == first
+
+
 def test_a_deck_of_copied_cards_is_read_again(tmp_path: Path) -> None:
     path = write_deck(tmp_path)
     text = path.read_text().replace("CELAS2,96,2.E5,6,3\n", "CELAS2,96,2.E5,6,3\n=,*(10),==\n")
