@@ -55,7 +55,9 @@ OBJECTIONS = (
 #: them, and pyNastran warns or takes an orientation vector for a grid point.
 REALS: dict[str, tuple[int, ...]] = {
     "MAT1": tuple(range(2, 12)), "PSHELL": (3, 5, 7, 8, 9, 10), "CQUAD4": (8, 11, 12, 13, 14),
-    "CTRIA3": (7, 11, 12, 13), "CBAR": (5, 6, 7), "CBEAM": (5, 6, 7),
+    "CTRIA3": (7, 11, 12, 13), "CBAR": (5, 6, 7), "CBEAM": (5, 6, 7), "GRID": (3, 4, 5),
+    "CONM2": (4, 5, 6, 7, *range(9, 15)), "PBAR": (*range(3, 8), *range(9, 20)),
+    "PROD": (3, 4, 5, 6), "CONROD": (5, 6, 7, 8), "PELAS": (2, 3, 4, 6, 7, 8), "CELAS2": (2, 7, 8),
 }  # fmt: skip
 REAL_PARAMETERS = frozenset(("WTMASS", "K6ROT", "MAXRATIO", "EPZERO"))
 WHOLE = re.compile(r"[+-]?\d+")

@@ -78,6 +78,7 @@ def mystran_cards(
         **dict.fromkeys(SOLID_CARDS, solids),
     }
     frames = cache(lambda: output_frames(bulk()))
+    grids: set[str] = set()
     for card in deck.cards:
         key = card, defaults.get(card.name)
         if text := known.get(key):
@@ -85,6 +86,10 @@ def mystran_cards(
             continue
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
+        if card.name == "GRID":
+            if card.text(1) in grids:  # the same point again, which stops MYSTRAN alone
+                continue
+            grids.add(card.text(1))
         reason = _obstacle(card)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)

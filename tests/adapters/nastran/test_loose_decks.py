@@ -66,6 +66,10 @@ def changed(*pairs: tuple[str, str]) -> str:
         ("MAT1,1,1000.,,0.,1.", "MAT1,1,1000,,0,1"),
         ("PSHELL,3,1,2.,1,1.,1,,3.", "PSHELL,3,1,2,1,1,1,,3"),
         ("CBAR,2,1,2,3,0.,0.,1.", "CBAR,2,1,2,3,0,0.,1."),
+        ("GRID,6,,3.,0.,0.", "GRID,6,,3,0,0"),
+        ("CONM2,9,6,,3.", "CONM2,9,6,,3"),
+        ("PBAR,1,1,2.,1.,1.,1.", "PBAR,1,1,2,1,1,1"),
+        ("PROD,4,1,1.,1.", "PROD,4,1,1,1"),
         ("PARAM,WTMASS,2.", "PARAM,WTMASS,2"),
         ("CQUAD4,3,3,2,3,4,5", "CQUAD4,3,3,2,3,4,5,,0"),
         ("SPC = 1\n", "SPC = 1\nPARAM,K6ROT,100\n"),
@@ -76,6 +80,12 @@ def test_whole_numbers_in_real_fields_get_their_point(old: str, new: str, tmp_pa
     np.testing.assert_array_equal(
         frequencies(tmp_path, changed((old, new))), frequencies(tmp_path, strict)
     )
+
+
+@needs_mystran
+def test_the_same_grid_point_twice_is_one(tmp_path: Path) -> None:
+    twice = changed(("GRID,6,,3.,0.,0.", "GRID,6,,3.,0.,0.\nGRID,6,,3.,0.,0."))
+    np.testing.assert_array_equal(frequencies(tmp_path, twice), frequencies(tmp_path, STRICT))
 
 
 @needs_mystran
