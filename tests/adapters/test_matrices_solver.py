@@ -129,6 +129,20 @@ def test_a_free_chain_has_one_rigid_mode_and_its_closed_form(tmp_path: Path) -> 
     )
 
 
+def test_a_chain_has_as_many_modes_as_its_masses_allow(tmp_path: Path) -> None:
+    # Every other mass is zero, so springs in pairs of K / 2 join the rest.
+    stiffness, _ = chain_matrices(N, held=True)
+    mass = sparse.diags_array(np.tile([0.0, M], N // 2))
+    write_matrix(tmp_path, "K.npz", stiffness)
+    write_matrix(tmp_path, "M.npz", sparse.csr_array(mass))
+    (tmp_path / "model.yaml").write_text("stiffness: K.npz\nmass: M.npz\n")
+    result = run_modal(
+        matrices_solver(tmp_path / "model.yaml", ()), {}, ModalAnalysis(N, (2,)), tmp_path
+    )
+    wanted = [held_hz(mode, N // 2) * np.sqrt(0.5) for mode in range(1, N // 2 + 1)]
+    np.testing.assert_allclose(result.modes.frequencies_hz, wanted, rtol=1e-9)
+
+
 @pytest.mark.parametrize("is_held", [True, False])
 def test_a_chain_of_a_hundred_thousand_unknowns_has_its_closed_form(
     is_held: bool, tmp_path: Path
