@@ -80,16 +80,16 @@ def mystran_cards(
     frames = cache(lambda: output_frames(bulk()))
     grids: set[str] = set()
     for card in deck.cards:
+        if card.name == "GRID":
+            if card.text(1) in grids:  # the same point again, which stops MYSTRAN alone
+                continue
+            grids.add(card.text(1))
         key = card, defaults.get(card.name)
         if text := known.get(key):
             cards.append(text)
             continue
         if card.name in HARMLESS or card.name == "MDLPRM" or card in unused or left_out(card):
             continue
-        if card.name == "GRID":
-            if card.text(1) in grids:  # the same point again, which stops MYSTRAN alone
-                continue
-            grids.add(card.text(1))
         reason = _obstacle(card)
         if not reason and card.name in (*ELEMENTS, "CBUSH"):
             reason = scalars.obstacle(card)
