@@ -13,6 +13,7 @@ in a grid with one unknown a node would be alike. A point weighs as many unknown
 
 from __future__ import annotations
 
+import signal
 from functools import cache
 from typing import Any
 
@@ -51,7 +52,12 @@ def elimination_order(upper: sparse.csr_array) -> Integers | None:
         return None
     kind = metis.zero_copy_dtype()
     edges = metis.CSRAdjacency(graph.indptr.astype(kind), graph.indices.astype(kind))
-    order, _ = metis.nested_dissection(edges, vweights=weights.astype(kind))
+    try:
+        order, _ = metis.nested_dissection(edges, vweights=weights.astype(kind))
+    except RuntimeError:  # METIS takes SIGTERM for a fault of its own, and leaves it blocked
+        if signal.SIGTERM in signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM}):
+            raise KeyboardInterrupt from None
+        raise
     place = np.empty(first.size, dtype=np.int64)
     place[np.asarray(order)] = np.arange(first.size)
     return np.argsort(place[point], kind="stable")

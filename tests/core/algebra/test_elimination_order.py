@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -222,3 +226,33 @@ def test_long_integers_take_the_same_order() -> None:
 def _direct(upper: sparse.csr_array) -> Floats:
     whole = sparse.csc_array(upper + sparse.triu(upper, 1).T)
     return np.asarray(sparse.linalg.spsolve(whole, np.ones(upper.shape[0])))
+
+
+#: Orders a grid again and again until it is interrupted.
+ENDLESS = """
+import signal, sys
+from scipy import sparse
+from modetune.core.algebra.elimination_order import elimination_order
+signal.signal(signal.SIGTERM, signal.default_int_handler)
+line = sparse.diags([1.0, 1.0, 1.0], [-1, 0, 1], shape=(40, 40))
+grid = sparse.triu(sparse.kron(sparse.kron(line, line), line), format="csr")
+grid.sort_indices()
+print("ready", flush=True)
+try:
+    while elimination_order(sparse.csr_array(grid)) is not None:
+        pass
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_sigterm_during_an_order_is_an_interruption() -> None:
+    for wait_s in (0.3, 0.6):
+        with subprocess.Popen(
+            [sys.executable, "-c", ENDLESS], stdout=subprocess.PIPE, text=True
+        ) as child:
+            assert child.stdout is not None
+            assert child.stdout.readline() == "ready\n"
+            time.sleep(wait_s)
+            child.terminate()
+            assert child.wait(60.0) == 130
