@@ -355,13 +355,13 @@ def read_named(name: str) -> Callable[[Path], object]:
     return read
 
 
-def read_draft(suffix: str, *settings: str) -> Callable[[Path], object]:
-    """A reader of a deck by which a campaign is drafted."""
+def read_draft(suffix: str, *settings: str, node: int = 1) -> Callable[[Path], object]:
+    """A reader of a deck by which a campaign is drafted; node: a sensor's, which must move."""
 
     def read(path: Path) -> object:
         deck, test = path.with_name(f"deck{suffix}"), path.with_name("draft_test.csv")
         deck.write_bytes(path.read_bytes())
-        test.write_text(DRAFT_TEST)
+        test.write_text(DRAFT_TEST.replace("1.z", f"{node}.z"))
         return init_campaign(deck, [test], settings, path.with_name("draft.yaml"), force=True)
 
     return read
@@ -573,9 +573,9 @@ KINDS = {
     "draft for MYSTRAN": Kind(ladder().encode(), read_draft(".bdf"), NASTRAN_LINES, share=0.3),
     **{
         f"draft by SOL 200, {name}": Kind(
-            deck.encode(), read_draft(".bdf"), NASTRAN_LINES, share=0.3
+            deck.encode(), read_draft(".bdf", node=node), NASTRAN_LINES, share=0.3
         )
-        for name, deck in (("truss", TRUSS), ("plate", PLATE), ("beam", BEAM))
+        for name, deck, node in (("truss", TRUSS, 4), ("plate", PLATE, 1), ("beam", BEAM, 1))
     },
     "template": Kind(SHAFT_DECK.encode(), read_template),
     "modes of a command": Kind(SHAFT_MODES, read_results),
