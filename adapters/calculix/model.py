@@ -27,6 +27,7 @@ from modetune.adapters.calculix.loads import load_case
 from modetune.adapters.calculix.mesh import read_geometry
 from modetune.adapters.calculix.observation import observe
 from modetune.adapters.calculix.places import edited_lines, energy_sets, fields_of, find_numbers
+from modetune.adapters.calculix.stated_units import stated_units
 from modetune.adapters.calculix.structure import CalculixStructure, understand
 from modetune.adapters.damping import NOTHING, Dampers, damps_only
 from modetune.adapters.deck_numbers import Number
@@ -37,6 +38,7 @@ from modetune.adapters.solver import (
     Deck,
     ModelSummary,
     RigidLink,
+    StatedUnits,
     Target,
 )
 from modetune.core.algebra.matrices import MatrixResult
@@ -113,6 +115,9 @@ class CalculixModel(Deck):
                 by: TargetKind = "elset" if by_set else "material"
                 found.setdefault((by, name), Target(by, (name,), card.keyword, count))
         return tuple(found.values())
+
+    def stated_units(self) -> StatedUnits | None:
+        return stated_units(self.structure.deck)
 
     def elastic_constants(self) -> dict[str, tuple[float, float]]:
         """E, the largest one, and density (0 without) of each material that elements use."""

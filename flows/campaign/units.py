@@ -6,21 +6,27 @@ from typing import Literal
 
 from modetune.adapters.solver import Solver, StatedUnits
 
-Units = Literal["m-kg-s", "mm-t-s", "mm-kg-s", "cm-g-s", "in-slinch-s", "ft-slug-s"]
+Units = Literal[
+    "m-kg-s", "m-t-s", "mm-t-s", "mm-kg-s", "mm-g-s", "cm-g-s", "in-slinch-s", "ft-slug-s"
+]
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 
 KILOGRAMS: dict[Units, float] = {
     "m-kg-s": 1.0,
+    "m-t-s": 1e3,
     "mm-t-s": 1e3,
     "mm-kg-s": 1.0,
+    "mm-g-s": 1e-3,
     "cm-g-s": 1e-3,
     "in-slinch-s": 175.126835,
     "ft-slug-s": 14.5939029,
 }
 METRES: dict[Units, float] = {
     "m-kg-s": 1.0,
+    "m-t-s": 1.0,
     "mm-t-s": 1e-3,
     "mm-kg-s": 1e-3,
+    "mm-g-s": 1e-3,
     "cm-g-s": 1e-2,
     "in-slinch-s": 0.0254,
     "ft-slug-s": 0.3048,

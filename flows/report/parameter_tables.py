@@ -15,8 +15,10 @@ from modetune.flows.report.tables import Column, Table, columns_of, table_of
 #: Length, mass and stress of each system of consistent units.
 SYSTEMS: dict[str, tuple[str, str, str]] = {
     "m-kg-s": ("m", "kg", "Pa"),
+    "m-t-s": ("m", "t", "kPa"),
     "mm-t-s": ("mm", "t", "MPa"),
     "mm-kg-s": ("mm", "kg", "kPa"),
+    "mm-g-s": ("mm", "g", "Pa"),
     "cm-g-s": ("cm", "g", "Ba"),
     "in-slinch-s": ("in", "slinch", "psi"),
     "ft-slug-s": ("ft", "slug", "psf"),

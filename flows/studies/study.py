@@ -93,8 +93,8 @@ UnitsChoice = Annotated[
     str | None,
     Option(
         "--units",
-        help="Units of a deck: m-kg-s, mm-t-s, mm-kg-s, cm-g-s, in-slinch-s or ft-slug-s; "
-        "default: stated by the deck or inferred from its materials, and reported.",
+        help="Units of a deck: m-kg-s, m-t-s, mm-t-s, mm-kg-s, mm-g-s, cm-g-s, in-slinch-s or "
+        "ft-slug-s; default: stated by the deck or inferred from its materials, and reported.",
     ),
 ]
 SubcaseChoice = Annotated[

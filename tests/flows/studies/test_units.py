@@ -133,6 +133,8 @@ def test_a_doubt_about_units_is_no_error_is_told_and_is_accepted_by_its_name(
         ("2.96e7", "7.3e-4", "in-slinch-s"),
         ("4.2e9", "15.2", "ft-slug-s"),
         ("2.1e8", "7.85e-6", "mm-kg-s"),  # millinewtons, kPa
+        ("2.1e8", "7.85", None),  # m-t-s, or a light metal in ft-slug-s
+        ("7.e10", "2.7e-3", "mm-g-s"),
         ("7.e11", "2.7", "cm-g-s"),
         ("7.e10", "2700.", "m-kg-s"),
         ("3.e9", "1100.", "m-kg-s"),  # a plastic
@@ -179,7 +181,8 @@ ENDDATA
         ("PARAM,UNITSYS,LBF-FT", "ft-slug-s"),
         ("$*  Units: mm (milli-newton) (deg Celsius)", "mm-kg-s"),
         ("$*                UNITS: inch (pound f)", "in-slinch-s"),
-        ("PARAM,UNITSYS,KN-M", None),
+        ("PARAM,UNITSYS,KN-M", "m-t-s"),
+        ("PARAM,UNITSYS,KGF-CM", None),
     ],
 )
 def test_units_that_a_deck_states_go_before_a_guess(
@@ -189,7 +192,7 @@ def test_units_that_a_deck_states_go_before_a_guess(
     deck.write_text(PIPE.format(units=stated, young="2.1e8", density="7.85-6"))
     solver = mystran_solver(deck, ())
     found, why = guessed_units(solver)
-    if units is None:  # KN is not read, so that the material decides
+    if units is None:  # KGF is not read, so that the material decides
         assert found == "mm-kg-s"
         return
     assert found == units
@@ -224,3 +227,28 @@ def test_masses_of_a_model_in_pounds_count_the_mass_factor(tmp_path: Path) -> No
     deck.write_text(PIPE.format(units="", young="3.e7", density=f"{0.283 * 0.00259:.6e}"))
     same = sum(mystran_solver(deck, ()).deck.material_masses().values())
     assert mass == pytest.approx(same, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [
+        ("*HEADING\nHash: xf2VM4mZ, Date: 05/19/2026, Unit system: M_KG_S_C\n", "m-kg-s"),
+        ("*Heading\nHash: xf2VM4mZ, Date: 05/19/2026, Unit system: MM_TON_S_C\n", "mm-t-s"),
+        ("*HEADING\nUnit system: M_TON_S_C\n", "m-t-s"),
+        ("*HEADING\nUnit system: IN_LB_S_F\n", "in-slinch-s"),
+        ("** Unit system: cm, g, s, dyn\n", "cm-g-s"),
+        ("** A bracket; units = N mm\n", "mm-t-s"),
+        ("** Units: see the drawing\n", None),
+        ("*HEADING\nUnit system: UNIT_LESS\n", None),
+    ],
+)
+def test_units_in_the_heading_of_a_calculix_deck_go_before_a_guess(
+    head: str, units: str | None, tmp_path: Path
+) -> None:
+    deck = tmp_path / "plate.inp"
+    deck.write_text(head + PLATE.replace("210000.", "7.e10").replace("7.8e-9", "2.7e-3"))
+    solver = calculix_solver(deck, ())
+    found, why = guessed_units(solver)
+    assert found == (units or "mm-g-s")  # else the material decides
+    assert ("plate.inp, line" in why) == (units is not None)
+    assert ("units are mm-g-s, but" in unit_doubt("mm-g-s", solver)) == (units is not None)
