@@ -161,7 +161,9 @@ def _check_repeated(deck: KeywordDeck, node: int, first: int, again: int) -> Non
     """Raise ModelError if two lines put a node at different places, of which ccx takes the last."""
     lines = deck.lines[first], deck.lines[again]
     try:
-        one, other = ([_number(field) for field in line.text.split(",")[1:4]] for line in lines)
+        one, other = (
+            [_number(field) for field in f"{line.text},,,".split(",")[1:4]] for line in lines
+        )
     except ValueError:
         return  # `read_places` says what is wrong
     if one != other:

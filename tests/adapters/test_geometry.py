@@ -212,8 +212,9 @@ def test_a_coordinate_that_is_no_number_is_named_with_its_line(tmp_path: Path) -
 
 
 def test_numbers_are_read_as_ccx_reads_them(tmp_path: Path) -> None:
-    # Fortran's exponents, blank coordinates as zero, and the last of two nodes of one number.
-    text = "*NODE\n1, 5.\n1, 1.5D1, , -2.+1\n2\n*ELEMENT, TYPE=T3D2, ELSET=E\n1, 1, 2\n"
+    # Fortran's exponents, blank coordinates as zero, and a node that is there twice at one place.
+    nodes = "*NODE\n1, 15., 0, -20.\n1, 1.5D1, , -2.+1\n2\n2, 0.\n"
+    text = f"{nodes}*ELEMENT, TYPE=T3D2, ELSET=E\n1, 1, 2\n"
     mesh = calculix(tmp_path, text).deck.mesh()
     np.testing.assert_array_equal(mesh.coordinates, [[15.0, 0.0, -20.0], [0.0, 0.0, 0.0]])
 

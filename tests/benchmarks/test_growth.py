@@ -20,7 +20,7 @@ def test_a_case_is_a_row_a_size_and_its_exponents() -> None:
     row = {"wall_s": 2.0, "cpu_s": 1.0, "solver_s": 0.0, "peak_bytes": 1e9}
     told = [*lines(CASES[0], [{"size": 10.0, **row}, {"size": 100.0, **row}])]
     assert len(told) == 3
-    assert "time 0.00, memory 0.00" in told[-1]
+    assert "CPU 0.00, memory 0.00" in told[-1]
     assert len({case.name for case in CASES}) == len(CASES)
 
 
