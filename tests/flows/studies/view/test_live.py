@@ -51,9 +51,8 @@ def test_a_run_counts_its_finished_and_submitted_jobs(tmp_path: Path) -> None:
 def test_a_record_is_told_with_each_iteration_and_a_run_that_was_broken_off(
     bench: Any, watcher: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "modetune.flows.updating.record.LATE_S", 0.0
-    )  # as of iterations of a second or more
+    for wait in ("LATE_S", "LATE"):  # as of iterations that take longer
+        monkeypatch.setattr(f"modetune.flows.updating.record.{wait}", 0.0)
     folder, store = Path(bench.folder) / "run", Store(Path(bench.folder) / "store")
     marks = []
     record = LiveRecord(folder)
