@@ -39,6 +39,20 @@ def test_what_took_long_is_written_at_once(tmp_path: Path, monkeypatch: pytest.M
         assert read_record(tmp_path / "record.h5").status == "running"
 
 
+def test_the_next_one_waits_by_what_writing_took(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modetune.flows.updating.record.LATE_S", 0.0)
+    monkeypatch.setattr("modetune.flows.updating.record.LATE", 1e6)
+    path = tmp_path / "record.h5"
+    with unfinished_record(path) as keep:
+        keep(RUNNING)
+        path.unlink()
+        keep(RUNNING)
+        assert not path.exists()
+    assert read_record(path).status == "running"
+
+
 def test_what_waits_is_written_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("modetune.flows.updating.record.LATE_S", 0.2)
     written = threading.Event()
