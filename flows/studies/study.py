@@ -570,6 +570,8 @@ class Study:
 
     def call(self, on: StudyContext, parameters: Mapping[str, Any]) -> StudyResult:
         """Run the study and write its page and figures. Raises the errors of its function."""
+        from modetune.flows.jobs.one_thread import one_thread
+
         values = self._values(parameters)
         given = {
             name: hint(**_of(hint, values)) if _is_dataclass(hint) else values[name]
@@ -578,7 +580,8 @@ class Study:
         if on.loaded is not None:
             on.working(f"{self.name}: {on.name} by {on.campaign.solver_name}")
         page, figures = places(self.options(**_of(self.options, values)))
-        return self.function(on, **given).drawn((self.name, on.name), page, figures)
+        with one_thread():
+            return self.function(on, **given).drawn((self.name, on.name), page, figures)
 
     @cached_property
     def _arguments(self) -> dict[str, tuple[Any, Any]]:

@@ -56,7 +56,6 @@ from modetune.flows.updating.evaluation import (
     part_rows,
     whole_evaluation,
 )
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import (
     CAMPAIGNS_OWN,
     MANY,
@@ -330,7 +329,7 @@ class Evaluator:
                 title = f"{whole}, {first + 1} to {first + len(some)} of {len(thetas)}"
             if within is not None:
                 name = f"{len(some)} sets by the reduced model"  # one task on displays
-                with doing(title), one_thread():
+                with doing(title):
                     found = self.execution.engine.tasks.compute(
                         name, partial(_derived_points, within, title, some, track)
                     )

@@ -39,7 +39,6 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.progress import doing
 from modetune.flows.updating.evaluation import Evaluation, Matrix, expects_agreement
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, REDUCED, CaseState
 from modetune.flows.updating.reduced_model import ACCURATE, CONFIRMED, ByMatrices
 from modetune.flows.updating.sensitivities import UnlikeMatrices
@@ -611,8 +610,7 @@ class Foresight:
         self.states = states
         evaluator = Evaluator(inner, states, self.evaluator.execution)
         try:
-            with one_thread():
-                end = Loop(inner, evaluator, Silent(), region, current).run()
+            end = Loop(inner, evaluator, Silent(), region, current).run()
         except ModesError as error:
             logger.debug("no reduced step: %s", error)
             return None

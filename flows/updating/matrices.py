@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from scipy import sparse
-from threadpoolctl import ThreadpoolController
 
 from modetune.adapters.solver import MatrixAnalysis
 from modetune.core.algebra.matrices import MatrixResult
@@ -318,23 +317,6 @@ class MatrixSource:
 
     def _result(self, job: Job) -> MatrixResult:
         return self.engine.solve(job).result(MatrixResult)
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """Let NumPy and SciPy multiply on one thread; MKL, which factorises, is unaffected.
-
-    More threads wait for each other in products of small matrices, and in those of a few columns
-    with many: two took 1.2 to 1.4 times as long as one for 6 columns with 60 of 17,000 to 270,000
-    rows on idle cores, and up to ten times as long next to other work.
-    """
-    limited: AbstractContextManager[object] = _small_matrices().limit(limits=1)
-    return limited
-
-
-@cache
-def _small_matrices() -> ThreadpoolController:
-    """Return the libraries that compute with them; finding them takes longer than a few points."""
-    return ThreadpoolController().select(internal_api="openblas")
 
 
 def return_freed_memory() -> None:

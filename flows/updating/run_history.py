@@ -38,7 +38,6 @@ from modetune.core.storage.keys import Json
 from modetune.flows.campaign.schema import MonitoringSection
 from modetune.flows.report.report_file import FAILURES, PAGE
 from modetune.flows.report.tables import json_object
-from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -110,14 +109,13 @@ def drift_at(history: History, run: PastRun, monitoring: MonitoringSection) -> D
     until = history.until(history.with_same_evidence(run) or run)
     try:
         series = until.series()
-        with one_thread():  # many small matrices
-            return find_drift(
-                series,
-                monitoring.learning,
-                _first(series.times, monitoring.reference),
-                monitoring.structures,
-                monitoring.false_alarm_rate,
-            )
+        return find_drift(
+            series,
+            monitoring.learning,
+            _first(series.times, monitoring.reference),
+            monitoring.structures,
+            monitoring.false_alarm_rate,
+        )
     except FAILURES as error:  # hours of solving are not lost for a statistic
         logger.warning("the drift of %s is unknown (%s: %s)", run.name, type(error).__name__, error)
         return None

@@ -52,7 +52,7 @@ from modetune.core.updating.sensitivity import ModeDerivatives, nelson
 from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.jobs.engine import JobEngine, R
 from modetune.flows.updating.evaluation import Point
-from modetune.flows.updating.matrices import MatrixSource, one_thread
+from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.sensitivities import UnlikeMatrices
 
 logger = logging.getLogger(__name__)
@@ -400,7 +400,7 @@ class Solutions:
         try:
             if known is not None and count:
                 self._newest = self._factors = None
-                with self.engine.all_cores(beside), one_thread():
+                with self.engine.all_cores(beside):
                     known = self._solver.counted(here.upper_stiffness, here.upper_mass, known)
             if known is None:
                 known = self._solved(item, start, here, count, beside)[1]
@@ -427,7 +427,7 @@ class Solutions:
         shapes from memory and replaces the factors.
         """
         self._newest = None
-        with self.engine.all_cores(beside), one_thread():
+        with self.engine.all_cores(beside):
             kept = self._at_hand(start.factors, item.n_modes)
             at_hand, self._factors = self._factors, None
             upper = here.upper_stiffness, here.upper_mass
@@ -460,7 +460,7 @@ class Solutions:
                 start = self._beginning(around.of)
                 assert start.factors is not None
                 factors, previous = start.factors, start.basis
-            with self.engine.all_cores(), one_thread():
+            with self.engine.all_cores():
                 self._hold(factors)
                 made = reduce(
                     self.model.matrices,
@@ -691,7 +691,7 @@ class MatrixModes:
 
         def compute() -> ReducedRange:
             begin, observer = self._solutions.basis(around), self._model.observer(*around.seen)
-            with self.engine.all_cores(), one_thread():
+            with self.engine.all_cores():
                 return reduce_over(
                     self._model.matrices,
                     values,

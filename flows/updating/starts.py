@@ -61,7 +61,7 @@ from modetune.flows.campaign.matrix_plan import unsuitable
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation, Matrix
 from modetune.flows.updating.evaluator import Evaluator
 from modetune.flows.updating.loop import ITERATIONS, Foresight, Loop, Trial, Watcher
-from modetune.flows.updating.matrices import MatrixSource, one_thread
+from modetune.flows.updating.matrices import MatrixSource
 from modetune.flows.updating.mode_source import (
     CAMPAIGNS_OWN,
     REDUCED,
@@ -560,8 +560,7 @@ class OtherStarts:
         """
         states = [] if self.foresight is None else self.foresight.states
         if states and self._wanted:
-            with one_thread():
-                self._ended(self._search(states, record), states, record, last)
+            self._ended(self._search(states, record), states, record, last)
 
     def tried(self, record: CampaignRecord, last: Evaluation) -> FoundMinima | None:
         """Return the minima after an update has ended; None if there is no search.
@@ -609,19 +608,17 @@ class OtherStarts:
         self, states: list[CaseState], record: CampaignRecord, last: Evaluation
     ) -> FoundMinima | None:
         search = self._search(states, record)
-        with one_thread():
-            ends = self._ended(search, states, record, last)
-            if not ends:
-                return None
-            own = ends[0]
-            n_starts = len(ends)
-            ends = search.with_exchanges(search.without_saddles(ends))
-            searches = [search] * len(ends)
-            labels = self._labels(ends, searches)
+        ends = self._ended(search, states, record, last)
+        if not ends:
+            return None
+        own = ends[0]
+        n_starts = len(ends)
+        ends = search.with_exchanges(search.without_saddles(ends))
+        searches = [search] * len(ends)
+        labels = self._labels(ends, searches)
         exact = all(isinstance(item.finder, ReducedModes) and item.finder.exact for item in states)
         if not exact and self._looked(ends, searches, labels, last):
-            with one_thread():
-                labels = self._labels(ends, searches)
+            labels = self._labels(ends, searches)
         chosen, converged = best_end(ends), record.status == "converged"
         if converged and labels[chosen] == labels[0]:
             chosen = 0  # good enough: the distance to the minimum is reported
@@ -717,8 +714,7 @@ class OtherStarts:
                 ends[n] = replace(ends[n], misfit=np.inf, outcome="not confirmed by the full model")
             if states:
                 search = Search(self.campaign, states, self.evaluator, searches[best].factor)
-                with one_thread():
-                    looked = search.end(ends[best].start, begin)
+                looked = search.end(ends[best].start, begin)
                 for n in members:
                     ends[n] = replace(looked, start=ends[n].start)
                     searches[n] = search

@@ -42,7 +42,6 @@ from modetune.flows.studies.study import ModelState
 from modetune.flows.studies.update_record import update_record
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import Demand
 from modetune.flows.updating.sensitivities import UnlikeMatrices
 
@@ -243,7 +242,7 @@ def _proposed(
             name = case.solver.program.name
             return None, f"they need matrices, which {name} does not give"
     try:
-        with factor_room(evaluator.used[0].engine.room), one_thread():
+        with factor_room(evaluator.used[0].engine.room):
             return proposals(campaign, evaluator, evaluation, tell), ""
     except (ModelError, ModesError, UnlikeMatrices) as error:
         return None, str(error)

@@ -34,7 +34,6 @@ from modetune.flows.studies.localise.changes import (
 )
 from modetune.flows.updating.evaluation import CaseEvaluation, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import CaseState
 
 logger = logging.getLogger(__name__)
@@ -287,8 +286,7 @@ class ChangeSearch:
 
     def ranked(self, tell: Callable[[str], None] = lambda text: None) -> Proposals:
         """Return the changes in the order of their probability."""
-        with one_thread():
-            return self._ranked(tell)
+        return self._ranked(tell)
 
     def _ranked(self, tell: Callable[[str], None]) -> Proposals:
         changes, screened = self.changes, []

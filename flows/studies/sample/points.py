@@ -26,7 +26,6 @@ from modetune.flows.campaign.campaign import Campaign
 from modetune.flows.studies.sample.surrogate import Training
 from modetune.flows.updating.evaluation import MOST_KNOWN, Evaluation
 from modetune.flows.updating.evaluator import Evaluator
-from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -56,11 +55,10 @@ class ReducedFeatures:
     def features(self, points: Floats) -> Floats:
         """(n, n_residuals) at points (n, n_parameters), all alike where one cannot be had."""
         values = np.full((len(points), self.responses.size), IMPOSSIBLE)
-        with one_thread():
-            found = self.evaluator.points("samples", points, self.known)
-            for row, item in zip(values, found, strict=True):
-                if isinstance(item, Evaluation):
-                    row[:] = standardised(item)
+        found = self.evaluator.points("samples", points, self.known)
+        for row, item in zip(values, found, strict=True):
+            if isinstance(item, Evaluation):
+                row[:] = standardised(item)
         return values
 
     def residuals(self, points: Floats) -> Floats:

@@ -27,7 +27,6 @@ from modetune.flows.studies.sample.request import SamplingRequest
 from modetune.flows.studies.study import ModelState
 from modetune.flows.studies.update_record import update_record
 from modetune.flows.updating.evaluator import evaluator_of
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import MANY, Demand
 from modetune.flows.updating.poses import settled
 
@@ -58,16 +57,15 @@ def sample_campaign(
         learned, solver = known.learned, known.solver
         working("sampling")
         longest = LONGEST if learned.surrogate is known.reduced else LONGER
-        with one_thread():
-            chains = sample(
-                learned.posterior,
-                learned.peaks,
-                known.walkers,
-                request.steps,
-                known.at_chains,
-                longest,
-                learned.foreseen,
-            )
+        chains = sample(
+            learned.posterior,
+            learned.peaks,
+            known.walkers,
+            request.steps,
+            known.at_chains,
+            longest,
+            learned.foreseen,
+        )
         working("sets of the posterior")
         checks = check(solver, learned, chains, request.checks, known.at_checks)
     return _record(known, chains, checks, request.seed, time.monotonic() - started)

@@ -47,7 +47,6 @@ from modetune.flows.studies.scatter.measured_values import (
 )
 from modetune.flows.studies.scatter.record import ScatterAnswer, ScatterRecord
 from modetune.flows.studies.scatter.request import ScatterRequest
-from modetune.flows.updating.matrices import one_thread
 
 logger = logging.getLogger(__name__)
 
@@ -86,8 +85,7 @@ def scatter_campaign(
         answers = []
         for place in range(known.learned.peaks.n_peaks):
             working(f"scatter around answer {place + 1} of {known.learned.peaks.n_peaks}")
-            with one_thread():
-                answers.append(_answer(known, place, tests, before, request, values))
+            answers.append(_answer(known, place, tests, before, request, values))
         answers = _within_limits(known, answers)
         evaluator, shares = known.solver.evaluator, _shares(answers, tests, before)
         return ScatterRecord(

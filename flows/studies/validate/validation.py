@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -32,7 +31,6 @@ from modetune.flows.jobs.execution import on_threads
 from modetune.flows.updating.evaluation import Evaluation
 from modetune.flows.updating.evaluator import Evaluator, evaluator_of
 from modetune.flows.updating.forecast import Progress
-from modetune.flows.updating.matrices import one_thread
 from modetune.flows.updating.mode_source import CAMPAIGNS_OWN, STEPS, UPDATING, Demand
 from modetune.flows.updating.poses import settled
 from modetune.flows.updating.update import Updating
@@ -244,8 +242,7 @@ def _fold(
         campaign, evaluator, _NamedProgress(fold.name, working), lambda record: None
     )
     try:
-        with one_thread() if known else nullcontext():
-            record = updating.run()
+        record = updating.run()
     except (SolverError, ModesError) as error:
         if isinstance(error, CAMPAIGNS_OWN) or fold.number == 0:
             raise
