@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,12 @@ def request(site: Site, method: str, path: str, content: object) -> int:
     ) as client:
         token = client.get("/csrf-token", params={"client": "x"}).json()["token"]
         headers = {"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": "x"}
-        return client.request(method, path, json=content, headers=headers).status_code
+        for _ in range(30):  # as Prefect's own clients do while its database is busy
+            status = client.request(method, path, json=content, headers=headers).status_code
+            if status != httpx.codes.SERVICE_UNAVAILABLE:
+                break
+            time.sleep(1.0)
+        return status
 
 
 def attacks(site: Site, sentinel: Path) -> list[tuple[str, str, Any]]:
