@@ -118,6 +118,14 @@ def mystran_cards(
             continue
         cards += _written(card, fields, scalars)
     cards += (*beams.rest(), *solids.rest())
+    _refuse(problems)
+    if n_modes:
+        cards += scalars.spare(n_modes)
+    return [card if isinstance(card, str) else _large(*card) for card in cards]
+
+
+def _refuse(problems: dict[str, list[str]]) -> None:
+    """Raise ModelError with each reason, its first card and the number of its cards, if any."""
     if problems:
         raise ModelError(
             "\n".join(
@@ -126,9 +134,6 @@ def mystran_cards(
                 for reason, places in problems.items()
             )
         )
-    if n_modes:
-        cards += scalars.spare(n_modes)
-    return [card if isinstance(card, str) else _large(*card) for card in cards]
 
 
 def _large(name: str, fields: list[str]) -> str:
